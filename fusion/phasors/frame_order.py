@@ -1,4 +1,4 @@
-"""Frames of a pair's cameras against each other and against the trigger: late, lost, and repeated ones."""
+"""Late, lost and repeated frames of a pair's cameras, and interlaced rows."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ STRONG = 0.1  # of the largest motion: lines whose phases are compared
 
 
 def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> StereoMotion | RejectedPair:
-    """Return the motion of a pair whose cameras show one body at the same edges, or the rejected pair.
+    """Return the motion, or the rejected pair where frames belong to other edges.
 
     A delay of a camera by a part of a frame is a warning of the motion.
     """
@@ -77,7 +77,7 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
     stated = _first_edges(sides, files, shifts, sight.edge, step)
     if late:
         stated += f" or {_first_edges(sides, files, shifts + late, sight.edge, step)}"
-    where, texts = f"stereo pair {sight.name}", {"stated": stated, "alike": _alike(model)}
+    where, texts = f"stereo pair {sight.name}", {"stated": stated, "alike": _remark_on_period(model)}
     if not found.any():
         slow, fast = ("right", "left") if late > 0 else ("left", "right")
         delay_ms = 1e3 * abs(late) * interval_s
@@ -97,7 +97,10 @@ def _step(sight: Sight) -> int:
 
 
 def camera_series(measured: StereoMotion, view: ImageView) -> tuple[CameraSeries, ...]:
-    """Return the motion by each camera alone, () where too few subsets are seen by all."""
+    """Return the motion by each camera alone.
+
+    () where too few subsets are seen by all.
+    """
     blocks: list[list[FloatArray]] = []
     chosen: IntArray | None = None
     for block in view.tracks:
@@ -128,9 +131,10 @@ def camera_series(measured: StereoMotion, view: ImageView) -> tuple[CameraSeries
 
 
 def _poses(seen: SeenPoints, moved_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return poses (S, 6) by displacements (S, N, 2) of points, information, and variance in px².
+    """Return poses (S, 6) by displacements (S, N, 2) of points.
 
-    Two steps with the rates at rest; the second one without outliers.
+    Also their information, and the variance of a coordinate in px². Two steps with the rates at rest; the second one
+    without outliers.
     """
     pose, weight = np.zeros((len(moved_px), 6)), np.asarray(np.isfinite(moved_px).all(axis=2))
     outer = np.einsum("nai,naj->nij", seen.rates, seen.rates)
@@ -160,7 +164,7 @@ def _median(values: FloatArray, weight: np.ndarray) -> FloatArray:
 
 
 def check_rows(measured: StereoMotion, images: PreparedImages) -> StereoMotion | RejectedPair:
-    """Return the motion of a pair whose cameras expose odd and even rows at once, or the rejected pair.
+    """Return the motion, or the rejected pair where a camera is interlaced.
 
     Of some frames, the part of the images around the middle of the body is compared with the first one. Columns, which
     are always exposed together, show how far rows differ by chance.
@@ -198,7 +202,10 @@ def check_rows(measured: StereoMotion, images: PreparedImages) -> StereoMotion |
 
 
 def _median_positions(view: ImageView) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return the medians (S, 2) of the subsets' positions in each camera, and limits (2,) of the first ones."""
+    """Return the subsets' median positions (S, 2) in each camera.
+
+    Also the limits (2,) of the first ones.
+    """
     medians: list[list[FloatArray]] = []
     limits: list[FloatArray] = []
     for block in view.tracks:
@@ -214,9 +221,9 @@ def _median_positions(view: ImageView) -> list[tuple[FloatArray, FloatArray, Flo
 def other_edges(
     observations: Sequence[Observation], sights: Mapping[str, tuple[Sight, int | dict[str, EdgeRuns] | None]]
 ) -> Iterator[Notice]:
-    """Yield a warning for each pair that agrees with all others of its body if its frames belong to other edges.
+    """Yield a warning for each pair whose frames belong to other edges.
 
-    `sights`: of each pair, with its stated `first_edge`.
+    With these it agrees with all other instruments of its body. `sights`: of each pair, with its stated `first_edge`.
     """
     for index, pair in enumerate(observations):
         geometry = pair.geometry
@@ -231,7 +238,7 @@ def other_edges(
         yield Notice(
             FRAMES_OF_OTHER_EDGES,
             f"stereo pair {geometry.name}",
-            others=", ".join(one.title for one in others),
+            instruments=", ".join(one.title for one in others),
             count=abs(count),
             side="later" if count > 0 else "earlier",
             phase_mrad=1e3 * abs(phase),
@@ -241,10 +248,10 @@ def other_edges(
 
 
 def _edges_later(pair: Observation, other: Observation, sight: Sight) -> tuple[int, float, float] | None:
-    """Return by how many edges a pair's frames are later than assumed if another instrument is right.
+    """Return by how many edges a pair's frames are later than assumed.
 
-    Also the phase in rad by which the pair leads, and the frequency of the line. None where no such number explains the
-    difference, or where amplitudes differ.
+    If another instrument is right. Also the phase in rad by which the pair leads, and the frequency of the line. None
+    where no such number explains the difference, or where amplitudes differ.
     """
     interval_s = float(np.median(np.diff(sight.time_s) / np.diff(sight.edge)))
     phases, sizes, frequency_hz = [], [], pair.phasors.frequency_hz
@@ -302,10 +309,11 @@ def _describe(side: str, files: IntArray, shift: IntArray) -> str:
 def _of_all_frames(
     model: FrameModel, shifts: IntArray, late: int, numbers: IntArray, measured: StereoMotion
 ) -> IntArray:
-    """Return the shifts (C, F) of all frames by those with subsets, the right camera late from the first frame on.
+    """Return the shifts (C, F) of all frames by those with subsets.
 
-    Between two frames with subsets the change is where the motion that was fitted to the grey values of both cameras
-    is best predicted: in the model's coordinates it is the mean of that of the cameras, by their weights.
+    The right camera is `late` from the first frame on. Between two frames with subsets the change is where the motion
+    that was fitted to the grey values of both cameras is best predicted: in the model's coordinates it is the mean of
+    that of the cameras, by their weights.
     """
     late_by = np.array([0, late])[: len(shifts)]
     amplitudes = model.fit_delay(shifts, late * model.interval_s)[0]
@@ -331,7 +339,7 @@ def _of_all_frames(
     return np.asarray(every - late_by[:, None])
 
 
-def _alike(model: FrameModel) -> str:
+def _remark_on_period(model: FrameModel) -> str:
     """Return a remark on other shifts that look the same at the lines, or ""."""
     for frames in range(1, 2 * FARTHEST + 1):
         phase = 2.0 * np.pi * model.frequency_hz * frames * model.interval_s
@@ -341,7 +349,10 @@ def _alike(model: FrameModel) -> str:
 
 
 def _first_edges(sides: Sequence[str], files: Sequence[IntArray], shifts: IntArray, edge: IntArray, step: int) -> str:
-    """Return the key `first_edge` that states the shifts (C, F) of the cameras by the numbers of their `files`."""
+    """Return the key `first_edge` that states the shifts (C, F) of the cameras.
+
+    `files`: numbers (F,) of the frames in each camera.
+    """
     texts = {}
     for side, of_camera, shift in zip(sides, files, shifts, strict=True):
         begin = edge + step * (shift - of_camera)  # edge of file 0 if all edges follow each other

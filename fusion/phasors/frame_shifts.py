@@ -1,4 +1,4 @@
-"""Frames of the cameras of a pair that belong to other edges: the most probable shifts, by one fit of both cameras.
+"""Shifts of a pair's frames by whole frames, by one fit of both cameras.
 
 Each camera alone measures the six components of a body with a known surface. At the times of the frames both must show
 one motion, a sum of the lines. Changes of the shift within the record, and a delay of one camera, are found by least
@@ -50,11 +50,11 @@ class CameraSeries:
 
 @dataclass(frozen=True)
 class FrameModel:
-    """Both cameras' motion as a sum of lines and a drift, seen by each with an offset of its own.
+    """A motion as a sum of lines and a drift, seen by one or two cameras.
 
-    `time_s` (S,), `interval_s`, `frequency_hz` (K,): of frames and lines. `values` (C, S, 6): in coordinates with
-    independent errors in every camera. `weight` (C, 6): inverse variances for 1 px. `seen` (C, S): frames that count.
-    `basis` (6, 6): the coordinates of a pose p are p·basis.
+    Each with an offset of its own. `time_s` (S,), `interval_s`, `frequency_hz` (K,): of frames and lines. `values` (C,
+    S, 6): in coordinates with independent errors in every camera. `weight` (C, 6): inverse variances for 1 px. `seen`
+    (C, S): frames that count. `basis` (6, 6): the coordinates of a pose p are p·basis.
     """
 
     time_s: FloatArray
@@ -95,7 +95,10 @@ class FrameModel:
         return 6.0 * float(self.seen.sum() - self.unknowns)
 
     def columns(self, camera: int, shift: IntArray | int, delay_s: float = 0.0) -> FloatArray:
-        """Return the columns (S, P) of a camera: offsets, drift, and lines; the second camera is late by `delay_s`."""
+        """Return the columns (S, P) of a camera: offsets, drift, and lines.
+
+        The second camera is late by `delay_s`.
+        """
         later_s = shift * self.interval_s - camera * delay_s
         angle = 2.0 * np.pi * np.outer(self.time_s + later_s, self.frequency_hz)
         drift = (self.time_s - self.time_s.mean()) / np.ptp(self.time_s)
@@ -104,7 +107,7 @@ class FrameModel:
         return np.hstack([offsets, drift[:, None], np.cos(angle), -np.sin(angle)])
 
     def fit_delay(self, shifts: IntArray, delay_s: float) -> tuple[FloatArray, float]:
-        """Return the amplitudes (P, 6) of all columns, and the sum of squares that is not explained."""
+        """Return the amplitudes (P, 6), and the sum of squares that is not explained."""
         gram, right = np.zeros((6, self.unknowns, self.unknowns)), np.zeros((6, self.unknowns))
         for camera, (values, weight, seen) in enumerate(zip(self.values, self.weight, self.seen, strict=True)):
             columns = self.columns(camera, shifts[camera], delay_s) * seen[:, None]
@@ -115,7 +118,7 @@ class FrameModel:
 
     @cached_property
     def delays_s(self) -> FloatArray:
-        """Delays of the second camera to compare: whole frames, and parts of the period of the strongest line."""
+        """Delays to compare: whole frames, and parts of the strongest line's period."""
         if len(self.values) < 2:
             return np.zeros(1)
         whole = self.interval_s * np.array(sorted(range(-FARTHEST, FARTHEST + 1), key=abs))
@@ -140,13 +143,13 @@ def strong_lines(model: FrameModel) -> FloatArray:
 
 
 def find_shifts(model: FrameModel, noise: float) -> IntArray:
-    """Return by how many frames (C, S) each frame of a camera is later than its time, compared with the first one.
+    """Return by how many frames (C, S) each frame is later than assumed.
 
-    Positive where frames show the body at later instants, because frames before were lost. `noise`: variance of one
-    coordinate, in px², by the scatter of the subsets; the scatter of the frames is used if it is larger. Changes, or
-    pairs of opposite ones, of one camera or of all are added where they lower the sum of squares most. After each, the
-    best sequence for the amplitudes and the amplitudes for that sequence are found in turn. Zeros where all changes
-    together explain less than half of the residual power.
+    Compared with the first one of its camera. Positive where frames show the body at later instants, because frames
+    before were lost. `noise`: variance of one coordinate, in px², by the scatter of the subsets; the scatter of the
+    frames is used if it is larger. Changes, or pairs of opposite ones, of one camera or of all are added where they
+    lower the sum of squares most. After each, the best sequence for the amplitudes and the amplitudes for that sequence
+    are found in turn. Zeros where all changes together explain less than half of the residual power.
     """
     found = np.zeros(model.seen.shape, dtype=np.int64)
     if model.free < MIN_FREE:
@@ -186,7 +189,7 @@ def _with_one_less(shifts: IntArray) -> Iterator[IntArray]:
 
 @dataclass(frozen=True)
 class _Search:
-    """Sums of the columns' products over parts of the record, by which many sequences of shifts are compared.
+    """Sums over parts of the record, by which many shifts are compared.
 
     `splits` (B,): first frames of the parts. `gram` (C, N, B, P, P), `right` (C, N, B, P, 6): products of columns of
     the lines, without a phase between the cameras, for each shift from -FARTHEST on.
@@ -215,7 +218,10 @@ class _Search:
         )
 
     def best(self, shifts: IntArray) -> Iterator[IntArray]:
-        """Yield the best sequences (C, S) with a change more, or two opposite ones, than `shifts`."""
+        """Yield the best shifts (C, S) with a change more than `shifts`.
+
+        Or with two opposite ones.
+        """
         cameras, parts = len(self.model.values), len(self.splits)
         steps = []
         for group in [*np.eye(cameras, dtype=np.int64), np.ones(cameras, dtype=np.int64)][: 2 * cameras - 1]:
@@ -234,7 +240,7 @@ class _Search:
             yield np.clip(shifts + np.repeat(change[index], counts, axis=1), -FARTHEST, FARTHEST)
 
     def explained(self, shifts: IntArray) -> FloatArray:
-        """Return the sums of squares (H,) that the lines explain with shifts (H, C, B) of the parts."""
+        """Return the sums of squares (H,) that shifts (H, C, B) of the parts explain."""
         model, lines = self.model, len(self.model.frequency_hz)
         index, parts = np.clip(shifts + FARTHEST, 0, 2 * FARTHEST), np.arange(shifts.shape[2])
         grams = [of[index[:, c], parts].sum(axis=1) for c, of in enumerate(self.gram)]
@@ -254,7 +260,10 @@ class _Search:
 
 
 def _changes(shifts: IntArray) -> int:
-    """Return the number of changes of the shifts (C, S); of all cameras at once it counts as one."""
+    """Return the number of changes of the shifts (C, S).
+
+    A change of all cameras at once counts as one.
+    """
     return int(np.count_nonzero(np.diff(shifts, axis=1).any(axis=0)))
 
 
@@ -272,7 +281,10 @@ def _refined(model: FrameModel, shifts: IntArray, cost: float) -> tuple[float, I
 
 
 def _best_sequence(model: FrameModel, camera: int, amplitudes: FloatArray, delay_s: float, cost: float) -> IntArray:
-    """Return the shifts (S,) of a camera of the least sum of squares and costs of changes (Viterbi)."""
+    """Return the best shifts (S,) of a camera.
+
+    Of the least sum of squares and costs of changes (Viterbi).
+    """
     candidates = np.arange(-FARTHEST, FARTHEST + 1)
     weight, values = model.weight[camera], model.values[camera]
     square = np.array(
@@ -306,7 +318,7 @@ def _smallest(model: FrameModel, shifts: IntArray, most: float) -> IntArray:
 
 
 def lateness(model: FrameModel, shifts: IntArray, noise: float) -> tuple[int, tuple[Notice, ...]]:
-    """Return by how many frames the right camera is late from the first frame on, and a warning of another delay.
+    """Return by how many frames the right camera is late, and a warning of other delays.
 
     The delay of the least sum of squares, with its uncertainty by the curvature there. None where the cameras differ by
     more than a delay and `noise`, the variance of one coordinate in px².

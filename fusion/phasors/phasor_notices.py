@@ -319,7 +319,7 @@ ROWS_INTERLACED = DeclaredNotice(
 FRAMES_OF_OTHER_EDGES = DeclaredNotice(
     "SC-516",
     "warning",
-    "The pair agrees with {others} if its frames belong to edges that are {side} by {count} (a phase of "
+    "The pair agrees with {instruments} if its frames belong to edges that are {side} by {count} (a phase of "
     "{phase_mrad:.3g} mrad at {frequency_hz:.6g} Hz). To state it: {stated}.",
     effect="The instruments contradict each other. A wrong edge turns the phase of the pair.",
     remedy="Check which edge belongs to the first frame.",

@@ -218,7 +218,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
 def _as_stated(
     motion: StereoMotion, frequency_hz: FloatArray, images: Sequence[PreparedImages]
 ) -> StereoMotion | RejectedPair:
-    """Return the motion of a pair whose cameras are placed and exposed as stated, or the rejected pair.
+    """Return the motion, or the rejected pair whose cameras are not as stated.
 
     The rows of `images` are compared.
     """

@@ -441,10 +441,10 @@ def frame_sight(
 def shared_edges(
     manifest: Manifest, base: TimeBase, entry: Images, numbers: Sequence[FrameNumbers | None], frames: Sequence[int]
 ) -> tuple[IntArray, list[IntArray]]:
-    """Return the edges that all cameras show by their stated runs, and their frames in each camera.
+    """Return the edges that all cameras show, and their frames in each.
 
-    `numbers`, `frames`: numbering of the files of each camera and their count. Of frames with one edge the first one is
-    used.
+    By the stated runs. `numbers`, `frames`: numbering of the files of each camera and their count. Of frames with one
+    edge the first one is used.
     """
     assert isinstance(entry.first_edge, dict)
     key, shown = f"images.{entry.stereo}.first_edge", list[IntArray]()

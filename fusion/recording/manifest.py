@@ -119,7 +119,10 @@ def _edge(value: int, least: int) -> int:
 
 
 def _edge_runs(value: object) -> EdgeRuns:
-    """Return the runs of frames of a camera, whose edges may lie before the first recorded one."""
+    """Return the runs of frames of a camera.
+
+    Their edges may lie before the first recorded one.
+    """
     runs = [[0, value]] if isinstance(value, int) and not isinstance(value, bool) else value
     listed = [run for run in runs if isinstance(run, list)] if isinstance(runs, list) else []
     frames = [run[0] for run in listed if [type(number) for number in run] == [int, int]]

@@ -87,7 +87,7 @@ def evaluate_recording(
 
 
 def _sights(set_ups: Sequence[MeasuredSetUp]) -> dict[str, tuple[Sight, int | dict[str, EdgeRuns] | None]]:
-    """Return the frames of each stereo pair, and the edges that the manifest states for them."""
+    """Return the frames of each stereo pair, and their stated edges."""
     stated = {one.stereo: one.first_edge for set_up in set_ups for one in set_up.prepared.manifest.images}
     images = [one for set_up in set_ups for one in set_up.prepared.images]
     return {one.sight.name: (one.sight, stated[one.sight.name]) for one in images}

@@ -1,4 +1,4 @@
-"""Rows of images that were not exposed together: interlaced cameras, and rows that repeat their neighbours."""
+"""Rows that were not exposed together, and rows that repeat their neighbours."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ rows of a sensor, and that of rounding for copies (chosen)."""
 
 
 def rows_repeat(image: NDArray[Any]) -> bool:
-    """Return whether every other row of an image (H, W) equals a neighbour or the mean of both.
+    """Return whether every other row of an image (H, W) equals its neighbours.
 
-    So do images of one field of an interlaced camera, stretched to full height. Noise makes rows of a sensor differ.
+    Or the mean of both. So do images of one field of an interlaced camera, stretched to full height. Noise makes rows
+    of a sensor differ.
 
     >>> noise = np.random.default_rng(1).integers(100, 900, (64, 48))
     >>> rows_repeat(noise), rows_repeat(np.repeat(noise, 2, axis=0))
@@ -39,12 +40,12 @@ def rows_repeat(image: NDArray[Any]) -> bool:
 def parity_displacement(
     first: NDArray[Any], image: NDArray[Any], moved_px: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much more (2,) odd rows moved than even ones since the first image, and odd columns than even ones.
+    """Return the displacement (2,) of odd from even rows, and of columns.
 
-    The same part of both images (H, W) of a body is compared after its displacement `moved_px` (2,), rounded to whole
-    pixels and an even number of rows and columns. The change is a sum of the gradients, once for all pixels and once
-    with the sign of the row, or column, by least squares. Rows of a sensor with one shutter differ as columns do, by
-    noise. In px along x and y, NaN for parts that are too small.
+    Since the first image. The same part of both images (H, W) of a body is compared after its displacement `moved_px`
+    (2,), rounded to whole pixels and an even number of rows and columns. The change is a sum of the gradients, once for
+    all pixels and once with the sign of the row, or column, by least squares. Rows of a sensor with one shutter differ
+    as columns do, by noise. In px along x and y, NaN for parts that are too small.
     """
     dx, dy = (2 * np.rint(moved_px / 2.0)).astype(int).tolist()
     height, width = first.shape
