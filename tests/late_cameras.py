@@ -28,8 +28,9 @@ Images = list[np.ndarray]
 class Rendering:
     """A recording: `edges` of each pair and camera are the edge numbers that their files show, one per file.
 
-    `acceleration` (K, 6): complex amplitudes in m/s², rad/s² at `frequencies_hz`. `first_edge` of the manifest is that of the
-    first file of an unfaulted camera. `change`: applied to the images of one pair and camera.
+    `acceleration` (K, 6): complex amplitudes in m/s², rad/s² at `frequencies_hz`. `first_edge` of the manifest is that
+    of the first file of an unfaulted camera. `rows_late`: of odd rows, over the frame interval. `change`: applied to
+    the images of one pair and camera.
     """
 
     edges: Mapping[tuple[str, str], Sequence[int]]

@@ -70,7 +70,7 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
     found = find_shifts(model, noise)
     late, notices = lateness(model, found, noise)
     if not late and not found.any():
-        return replace(measured, notices=(*measured.notices, *notices))
+        return replace(measured, notices=(*measured.notices, *notices)) if notices else measured
     shifts = _of_all_frames(model, found, late, numbers, measured)
     sides = [one.side for one in cameras]
     files = sight.files or tuple(np.arange(len(sight.edge)) for _ in sides)

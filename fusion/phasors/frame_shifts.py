@@ -339,9 +339,11 @@ def lateness(model: FrameModel, shifts: IntArray, noise: float) -> tuple[int, tu
         if abs(change_s) < 0.01 * step_s:
             break
     phase = float(np.angle(np.exp(1j * omega * delay_s)))
-    u = omega * float(np.sqrt(2.0 * power / max(model.free, 1.0) / curvature))
+    variance = power / max(model.free, 1.0)
+    u = omega * float(np.sqrt(2.0 * variance / curvature))
     unlike = power - SUSPICIOUS * noise * model.free > EQUAL**2 * model.motion
-    if unlike or abs(phase) <= max(LATE_RAD, LATE_U * u):
+    gained = model.fit_delay(shifts, 0.0)[1] - power
+    if unlike or gained < LATE_U**2 * variance or abs(phase) <= max(LATE_RAD, LATE_U * u):
         return 0, ()
     most = power + 0.5 * curvature * (max(LATE_U * u, FRAME_PHASE_TOLERANCE) / omega) ** 2
     for count in sorted((n for n in range(-FARTHEST, FARTHEST + 1) if n), key=lambda n: (abs(n), n < 0)):
