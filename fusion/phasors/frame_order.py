@@ -15,7 +15,7 @@ from fusion.phasors.frame_shifts import (
     FARTHEST,
     FRAME_PHASE_TOLERANCE,
     CameraSeries,
-    FrameModel,
+    ShiftModel,
     find_shifts,
     lateness,
     strong_lines,
@@ -64,7 +64,7 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
         return measured
     step = _step(sight)
     interval_s = step * float(np.median(np.diff(sight.time_s) / np.diff(sight.edge)))
-    model = FrameModel.of(cameras, sight.time_s[numbers], interval_s, frequency_hz)
+    model = ShiftModel.of(cameras, sight.time_s[numbers], interval_s, frequency_hz)
     model = replace(model, frequency_hz=strong_lines(model))
     noise = max(one.variance_px2 for one in cameras)
     found = find_shifts(model, noise)
@@ -307,7 +307,7 @@ def _describe(side: str, files: IntArray, shift: IntArray) -> str:
 
 
 def _of_all_frames(
-    model: FrameModel, shifts: IntArray, late: int, numbers: IntArray, measured: StereoMotion
+    model: ShiftModel, shifts: IntArray, late: int, numbers: IntArray, measured: StereoMotion
 ) -> IntArray:
     """Return the shifts (C, F) of all frames by those with subsets.
 
@@ -339,7 +339,7 @@ def _of_all_frames(
     return np.asarray(every - late_by[:, None])
 
 
-def _remark_on_period(model: FrameModel) -> str:
+def _remark_on_period(model: ShiftModel) -> str:
     """Return a remark on other shifts that look the same at the lines, or ""."""
     for frames in range(1, 2 * FARTHEST + 1):
         phase = 2.0 * np.pi * model.frequency_hz * frames * model.interval_s

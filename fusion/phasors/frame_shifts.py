@@ -49,7 +49,7 @@ class CameraSeries:
 
 
 @dataclass(frozen=True)
-class FrameModel:
+class ShiftModel:
     """A motion as a sum of lines and a drift, seen by one or two cameras.
 
     Each with an offset of its own. `time_s` (S,), `interval_s`, `frequency_hz` (K,): of frames and lines. `values` (C,
@@ -68,7 +68,7 @@ class FrameModel:
     @classmethod
     def of(
         cls, cameras: Sequence[CameraSeries], time_s: FloatArray, interval_s: float, frequency_hz: FloatArray
-    ) -> FrameModel:
+    ) -> ShiftModel:
         """Return the model of one or two cameras."""
         from scipy.linalg import eigh
 
@@ -131,7 +131,7 @@ class FrameModel:
         return min(found, key=lambda item: item[1])
 
 
-def strong_lines(model: FrameModel) -> FloatArray:
+def strong_lines(model: ShiftModel) -> FloatArray:
     """Return the lines with most of the motion in the images, the strongest first."""
     power, lines, none = np.zeros(len(model.frequency_hz)), len(model.frequency_hz), np.zeros(1, dtype=np.int64)
     for camera, (values, weight, seen) in enumerate(zip(model.values, model.weight, model.seen, strict=True)):
@@ -142,7 +142,7 @@ def strong_lines(model: FrameModel) -> FloatArray:
     return np.asarray(model.frequency_hz[order[power[order] >= WEAK * power[order[0]]]])
 
 
-def find_shifts(model: FrameModel, noise: float) -> IntArray:
+def find_shifts(model: ShiftModel, noise: float) -> IntArray:
     """Return by how many frames (C, S) each frame is later than assumed.
 
     Compared with the first one of its camera. Positive where frames show the body at later instants, because frames
@@ -162,7 +162,7 @@ def find_shifts(model: FrameModel, noise: float) -> IntArray:
     def level() -> float:
         return max(JUMP_COST * noise, JUMP_COST * power / model.free, model_error)
 
-    search = _Search.of(model)
+    search = _ShiftSearch.of(model)
     for _ in range(MOST_JUMPS):
         refined = [_refined(model, other, level()) for other in search.best(found)]
         value, other = min(refined, key=lambda item: item[0] + level() * _changes(item[1]))
@@ -188,20 +188,20 @@ def _with_one_less(shifts: IntArray) -> Iterator[IntArray]:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _ShiftSearch:
     """Sums over parts of the record, by which many shifts are compared.
 
     `splits` (B,): first frames of the parts. `gram` (C, N, B, P, P), `right` (C, N, B, P, 6): products of columns of
     the lines, without a phase between the cameras, for each shift from -FARTHEST on.
     """
 
-    model: FrameModel
+    model: ShiftModel
     splits: IntArray
     gram: FloatArray
     right: FloatArray
 
     @classmethod
-    def of(cls, model: FrameModel) -> _Search:
+    def of(cls, model: ShiftModel) -> _ShiftSearch:
         splits = np.unique(np.linspace(0, len(model.time_s) - 1, MOST_SPLITS).astype(int))
         gram, right = [], []
         for camera, (values, seen) in enumerate(zip(model.values, model.seen, strict=True)):
@@ -267,7 +267,7 @@ def _changes(shifts: IntArray) -> int:
     return int(np.count_nonzero(np.diff(shifts, axis=1).any(axis=0)))
 
 
-def _refined(model: FrameModel, shifts: IntArray, cost: float) -> tuple[float, IntArray]:
+def _refined(model: ShiftModel, shifts: IntArray, cost: float) -> tuple[float, IntArray]:
     """Return the sum of squares and shifts after amplitudes and sequences are found in turn."""
     amplitudes, power, delay_s = model.fit(shifts)
     for _ in range(ROUNDS):
@@ -280,7 +280,7 @@ def _refined(model: FrameModel, shifts: IntArray, cost: float) -> tuple[float, I
     return power, shifts
 
 
-def _best_sequence(model: FrameModel, camera: int, amplitudes: FloatArray, delay_s: float, cost: float) -> IntArray:
+def _best_sequence(model: ShiftModel, camera: int, amplitudes: FloatArray, delay_s: float, cost: float) -> IntArray:
     """Return the best shifts (S,) of a camera.
 
     Of the least sum of squares and costs of changes (Viterbi).
@@ -303,7 +303,7 @@ def _best_sequence(model: FrameModel, camera: int, amplitudes: FloatArray, delay
     return np.asarray(candidates[path[::-1]])
 
 
-def _smallest(model: FrameModel, shifts: IntArray, most: float) -> IntArray:
+def _smallest(model: ShiftModel, shifts: IntArray, most: float) -> IntArray:
     """Return the shifts with the smallest changes that the sum of squares `most` permits."""
     for camera, shift in enumerate(shifts):
         for at in np.flatnonzero(np.diff(shift)) + 1:
@@ -317,7 +317,7 @@ def _smallest(model: FrameModel, shifts: IntArray, most: float) -> IntArray:
     return shifts
 
 
-def lateness(model: FrameModel, shifts: IntArray, noise: float) -> tuple[int, tuple[Notice, ...]]:
+def lateness(model: ShiftModel, shifts: IntArray, noise: float) -> tuple[int, tuple[Notice, ...]]:
     """Return by how many frames the right camera is late, and a warning of other delays.
 
     The delay of the least sum of squares, with its uncertainty by the curvature there. None where the cameras differ by
@@ -342,8 +342,8 @@ def lateness(model: FrameModel, shifts: IntArray, noise: float) -> tuple[int, tu
     variance = power / max(model.free, 1.0)
     u = omega * float(np.sqrt(2.0 * variance / curvature))
     unlike = power - SUSPICIOUS * noise * model.free > EQUAL**2 * model.motion
-    gained = model.fit_delay(shifts, 0.0)[1] - power
-    if unlike or gained < LATE_U**2 * variance or abs(phase) <= max(LATE_RAD, LATE_U * u):
+    improvement = model.fit_delay(shifts, 0.0)[1] - power
+    if unlike or improvement < LATE_U**2 * variance or abs(phase) <= max(LATE_RAD, LATE_U * u):
         return 0, ()
     most = power + 0.5 * curvature * (max(LATE_U * u, FRAME_PHASE_TOLERANCE) / omega) ** 2
     for count in sorted((n for n in range(-FARTHEST, FARTHEST + 1) if n), key=lambda n: (abs(n), n < 0)):
