@@ -20,6 +20,8 @@ from shakercal._common.notices import Notice
 FARTHEST = 5  # frames by which a camera may be late or early
 WEAK = 1e-3  # power of a line over that of the strongest one below which it is not used
 MOST_LINES, MOST_JUMPS, MOST_SPLITS, MOST_REVERSED, REFINED, ROUNDS = 6, 4, 24, 2, 6, 6
+MOST_AT_ONCE = 256  # sequences compared at once, which limits memory
+RIDGE = 1e-12  # relative, so that normal equations of frames that do not separate the lines have a solution
 MODEL_ERROR = 0.02  # relative to the motion: a change must explain more than such an error of one frame (chosen)
 MIN_FREE = 12.0  # degrees of freedom
 SUSPICIOUS = 2.0  # residual variance over that of the subsets' scatter above which shifts are tried (chosen)
@@ -50,7 +52,7 @@ class CameraSeries:
 
 @dataclass(frozen=True)
 class ShiftModel:
-    """A motion as a sum of lines and a drift, seen by one or two cameras.
+    """A sum of lines and a drift, seen by one or two cameras.
 
     Each with an offset of its own. `time_s` (S,), `interval_s`, `frequency_hz` (K,): of frames and lines. `values` (C,
     S, 6): in coordinates with independent errors in every camera. `weight` (C, 6): inverse variances for 1 px. `seen`
@@ -113,6 +115,7 @@ class ShiftModel:
             columns = self.columns(camera, shifts[camera], delay_s) * seen[:, None]
             gram += weight[:, None, None] * (columns.T @ columns)
             right += weight[:, None] * (columns.T @ values).T
+        gram += RIDGE * np.eye(self.unknowns) * np.einsum("ipp->ip", gram)[:, None]
         amplitudes = np.linalg.solve(gram, right[..., None])[..., 0]
         return np.asarray(amplitudes.T), self.motion - float(np.sum(amplitudes * right))
 
@@ -234,7 +237,9 @@ class _ShiftSearch:
         for one, (group, first, last, jump) in zip(change, steps, strict=True):
             one[:, first:last] = jump * group[:, None]
         all_shifts = shifts[:, self.splits] + change
-        powers = np.where(np.abs(all_shifts).max(axis=(1, 2)) > FARTHEST, np.inf, -self.explained(all_shifts))
+        some = np.array_split(all_shifts, len(all_shifts) // MOST_AT_ONCE + 1)
+        explained = np.concatenate([self.explained(one) for one in some])
+        powers = np.where(np.abs(all_shifts).max(axis=(1, 2)) > FARTHEST, np.inf, -explained)
         for index in np.argsort(powers, kind="stable")[:REFINED]:
             counts = np.diff(np.append(self.splits, shifts.shape[1]))
             yield np.clip(shifts + np.repeat(change[index], counts, axis=1), -FARTHEST, FARTHEST)
@@ -255,6 +260,7 @@ class _ShiftSearch:
             for by, weight, of_gram, of_right in zip((plain, turn), model.weight, grams, rights, strict=False):
                 gram += weight[:, None, None] * (by.T @ of_gram @ by)[:, None]
                 right += weight[:, None] * (by.T @ of_right).swapaxes(1, 2)
+            gram += RIDGE * plain * np.einsum("hipp->hip", gram)[:, :, None]
             best = np.maximum(best, np.sum(np.linalg.solve(gram, right[..., None])[..., 0] * right, axis=(1, 2)))
         return best
 
@@ -318,7 +324,7 @@ def _smallest(model: ShiftModel, shifts: IntArray, most: float) -> IntArray:
 
 
 def lateness(model: ShiftModel, shifts: IntArray, noise: float) -> tuple[int, tuple[Notice, ...]]:
-    """Return by how many frames the right camera is late, and a warning of other delays.
+    """Return by how many frames the right camera is late, or a warning.
 
     The delay of the least sum of squares, with its uncertainty by the curvature there. None where the cameras differ by
     more than a delay and `noise`, the variance of one coordinate in px².
