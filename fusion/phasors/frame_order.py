@@ -43,8 +43,8 @@ from shakercal._common.notices import Notice
 SUBSETS, SEEN_SHARE, MIN_SUBSETS = 200, 0.5, 6
 MEDIAN_CHI2_OF_TWO = 2.0 * np.log(2.0)
 OUTLIER = 5.0  # robust standard deviations beyond which a subset is ignored
-MOST_ROW_FRAMES, FEWEST_ROW_FRAMES, ROWS_PX = 12, 6, 256  # frames compared, and size of the part of an image
-ROWS_DIFFER, ROWS_SHARE = 4.0, 0.05
+MOST_ROW_FRAMES, FEWEST_ROW_FRAMES, ROWS_PX = 10, 6, 192  # frames compared, and size of the part of an image
+ROWS_DIFFER, ROWS_SHARE = 3.0, 0.05
 """Distance of odd from even rows over that of columns, and over the motion, if rows are interlaced (chosen)."""
 STRONG = 0.1  # of the largest motion: lines whose phases are compared
 

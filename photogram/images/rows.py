@@ -63,6 +63,6 @@ def parity_displacement(
     found = []
     for number in (rows + top + 1, columns + left + 1):
         sign = np.where(number % 2 == 1, 0.5, -0.5)
-        design = np.stack([*common, *(sign * one for one in common)], axis=-1).reshape(-1, 6)
-        found.append(np.linalg.lstsq(design, change.ravel(), rcond=None)[0][3:5])
+        design = np.stack([one.ravel() for one in (*common, *(sign * one for one in common))])
+        found.append(np.linalg.lstsq(design @ design.T, design @ change.ravel(), rcond=None)[0][3:5])
     return np.asarray(found[0]), np.asarray(found[1])
