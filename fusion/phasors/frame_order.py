@@ -34,7 +34,6 @@ from photogram.camera import locate
 from photogram.direct.surface import PlacedCamera, SeenPoints, project_body_points
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform
-from photogram.images.image_notices import ROWS_REPEATED
 from photogram.images.rows import parity_displacement
 from shaker.sine.aliasing import usable_lines
 from shakercal._common.arrays import FloatArray, IntArray
@@ -172,8 +171,7 @@ def check_rows(measured: StereoMotion, images: PreparedImages) -> StereoMotion |
     view, name = measured.view, measured.sight.name
     numbers = np.arange(len(measured.sight.time_s))
     numbers = numbers if measured.subset_frames is None else numbers[measured.subset_frames]
-    repeated = any(notice.code == ROWS_REPEATED.code for notice in measured.notices)
-    if view is None or repeated or len(numbers) < FEWEST_ROW_FRAMES:
+    if view is None or len(numbers) < FEWEST_ROW_FRAMES:
         return measured
     some = np.unique(np.linspace(1, len(numbers) - 1, MOST_ROW_FRAMES).astype(int))
     sides = zip(("left", "right"), images.cameras, _median_positions(view), strict=False)

@@ -193,8 +193,8 @@ FRAME_NUMBERS_SHIFTED = DeclaredNotice(
     "warning",
     "The file numbers begin with {first} ({first_camera}) and {second} ({second_camera}).",
     effect="Frames are paired in their order. If equal numbers belong to one edge, one camera is late.",
-    remedy="Check which frames belong together.",
-    link="clocks.md",
+    remedy="Check which frames belong together, and state `first_edge` of each camera if these are others.",
+    link="cameras.md#frames-of-other-edges",
 )
 FRAME_NUMBER_GAP = DeclaredNotice(
     "SC-423",

@@ -240,7 +240,7 @@ def prepare_images(
     left = sequences[0]
     for other in sequences[1:]:
         if len(left) != len(other):
-            found, expected = f"{len(other)} images", f"{len(left)} as on the left"
+            found, expected = f"{len(other)} images", f"{len(left)} as on the left, or `first_edge` of each camera"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.right", found=found, expected=expected)
     if len(left) < MINIMUM_FRAMES:
         found, expected = f"{len(left)} in {entry.left[0].name}", f"at least {MINIMUM_FRAMES} frames"

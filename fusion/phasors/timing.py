@@ -489,7 +489,7 @@ def frame_edges(
         index, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
         if not np.array_equal(index, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_describe_numbers(one)}" for name, one in cameras.items())
-            expected = "the same numbers of frames in both cameras"
+            expected = "the same numbers of frames in both cameras, or `first_edge` of each, which uses the common ones"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
         if numbers is None or not (first.exact and numbers.exact):
             continue

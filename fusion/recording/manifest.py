@@ -394,7 +394,7 @@ class Images(Frames):
             raise refusal("edges of left and right", next(iter(runs)), key="first_edge", declared=CONTRADICTING_VALUES)
         if self.right and left != right and not runs:
             raise refusal(
-                "as many images left as right",
+                "as many images left as right, or `first_edge` of each camera",
                 f"{left} left and {right} right",
                 key="right",
                 declared=FRAMES_DO_NOT_MATCH,

@@ -65,14 +65,6 @@ SENSOR_CLIPS = DeclaredNotice(
     remedy="Use less light or a shorter exposure.",
     link="look.md",
 )
-ROWS_REPEATED = DeclaredNotice(
-    "SC-209",
-    "warning",
-    "Every other row equals its neighbours, as in one field of an interlaced camera.",
-    effect="The image has half the rows that it seems to have, which biases positions.",
-    remedy="Record all rows of the sensor at once (progressive), or save the field with its own number of rows.",
-    link="cameras.md#interlaced-rows",
-)
 COLOUR_MOSAIC = DeclaredNotice(
     "SC-208",
     "warning",

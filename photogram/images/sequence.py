@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.images.image_notices import COLOUR_MOSAIC, ROWS_REPEATED, SENSOR_CLIPS
+from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
 from photogram.images.rows import rows_repeat
 from photogram.images.sensor_pattern import TYPICAL, SensorPattern
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
@@ -464,7 +464,8 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
 def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequence:
     """Return images with the clip level and the notices that their first image gives.
 
-    Raises `ValueError` where more than `most_saturated` of the first image is saturated.
+    Raises `ValueError` where more than `most_saturated` of the first image is saturated, or every other row repeats its
+    neighbours.
     """
     level = clip_level(first)
     if level is not None and level < images.full_scale:
@@ -479,7 +480,8 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
         images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
     if rows_repeat(first):
-        images = replace(images, notices=(*images.notices, Notice(ROWS_REPEATED, images.names[0])))
+        found = "every other row equal to its neighbours or their mean, as of half the rows of an interlaced camera"
+        raise ValueError(f"{images.names[0]}: expected rows that differ by noise, found {found}")
     colours = mosaic_contrast(first)
     if colours:
         notice = Notice(COLOUR_MOSAIC, images.names[0], contrast_percent=100.0 * colours)

@@ -28,7 +28,6 @@ from fusion.phasors.stereo_motion import RejectedPair, StereoMotion
 from fusion.sensitivity.analyse import Evaluation
 from photogram.camera import Camera, FaceCamera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.images.image_notices import ROWS_REPEATED
 from photogram.images.rows import parity_displacement, rows_repeat
 
 FREQUENCY_HZ, PERIOD_S, NOISE_PX = 80.0, 0.0261, 2e-3
@@ -259,9 +258,8 @@ def test_interlaced_rows_are_named_and_those_of_one_field_too(tmp_path):
     def field(pair: str, side: str, images: list[np.ndarray]) -> list[np.ndarray]:
         return [np.repeat(image[::2], 2, axis=0) for image in images]
 
-    assert ROWS_REPEATED.code in codes(evaluated(tmp_path / "field", rendering(change=field)))
-    plain = codes(evaluated(tmp_path / "plain", rendering()))
-    assert not plain & {ROWS_REPEATED.code, PAIR_REJECTED.code, CAMERA_DELAYED.code}
+    refused("top.left: .*every other row", evaluated, tmp_path / "field", rendering(change=field), error=InputError)
+    assert not codes(evaluated(tmp_path / "plain", rendering())) & {PAIR_REJECTED.code, CAMERA_DELAYED.code}
 
 
 def test_cameras_of_unequal_numbers_of_files_are_paired_by_their_edges(tmp_path):
@@ -273,6 +271,16 @@ def test_cameras_of_unequal_numbers_of_files_are_paired_by_their_edges(tmp_path)
     assert len(evaluation.stereo[0].time_s) == 21
     value, u = load_z(evaluation)
     assert abs(value - 82.0 * np.exp(0.74j)) < 3.0 * u
+
+
+def test_a_file_that_one_camera_lacks_leaves_the_frames_of_both(tmp_path):
+    run = late_cameras.write(tmp_path, rendering(lasers=False))
+    (run / "top-right" / "0010.png").unlink()
+    (run / "top-left" / "0015.png").unlink()
+    refused("missing 0015 and right: .* missing 0010", evaluate_recording, run, error=InputError)
+    stated(run, "first_edge = { left = 6, right = 6 }")
+    edges = np.round((evaluate_recording(run).stereo[0].time_s - 0.02) * Rendering.rate_hz)
+    np.testing.assert_array_equal(edges, np.delete(np.arange(6, 30), [10, 15]))
 
 
 @pytest.mark.slow
