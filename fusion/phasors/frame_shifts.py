@@ -108,14 +108,22 @@ class ShiftModel:
         offsets[:, camera] = 1.0
         return np.hstack([offsets, drift[:, None], np.cos(angle), -np.sin(angle)])
 
-    def fit_delay(self, shifts: IntArray, delay_s: float) -> tuple[FloatArray, float]:
-        """Return the amplitudes (P, 6), and the sum of squares that is not explained."""
-        gram, right = np.zeros((6, self.unknowns, self.unknowns)), np.zeros((6, self.unknowns))
+    def fit_delay(self, shifts: IntArray, delay_s: float, *, unsteady: bool = False) -> tuple[FloatArray, float]:
+        """Return the amplitudes (P, 6), and the sum of squares that is not explained.
+
+        `unsteady`: amplitudes and phases of the lines change over the record as parabolas.
+        """
+        count = self.unknowns + unsteady * 4 * len(self.frequency_hz)
+        gram, right = np.zeros((6, count, count)), np.zeros((6, count))
         for camera, (values, weight, seen) in enumerate(zip(self.values, self.weight, self.seen, strict=True)):
             columns = self.columns(camera, shifts[camera], delay_s) * seen[:, None]
+            if unsteady:
+                turn = ((self.time_s - self.time_s.mean()) / np.ptp(self.time_s))[:, None]
+                lines = columns[:, len(self.values) + 1 :]
+                columns = np.hstack([columns, turn * lines, turn**2 * lines])
             gram += weight[:, None, None] * (columns.T @ columns)
             right += weight[:, None] * (columns.T @ values).T
-        gram += RIDGE * np.eye(self.unknowns) * np.einsum("ipp->ip", gram)[:, None]
+        gram += RIDGE * np.eye(count) * np.einsum("ipp->ip", gram)[:, None]
         amplitudes = np.linalg.solve(gram, right[..., None])[..., 0]
         return np.asarray(amplitudes.T), self.motion - float(np.sum(amplitudes * right))
 
@@ -178,7 +186,17 @@ def find_shifts(model: ShiftModel, noise: float) -> IntArray:
         if value + level() * _changes(other) >= power + level() * _changes(found):
             break
         power, found = value, other
-    return _smallest(model, found, power + level()) if power < EXPLAINS * least else np.zeros_like(found)
+    if power > EXPLAINS * least or _may_be_unsteady(model, found, power):
+        return np.zeros_like(found)
+    return _smallest(model, found, power + level())
+
+
+def _may_be_unsteady(model: ShiftModel, found: IntArray, power: float) -> bool:
+    """Return whether a motion that changes over the record explains shifts of all cameras as well."""
+    if (found != found[0]).any():
+        return False
+    none = np.zeros_like(found)
+    return model.fit_delay(none, model.fit(none)[2], unsteady=True)[1] * EXPLAINS < power
 
 
 def _with_one_less(shifts: IntArray) -> Iterator[IntArray]:

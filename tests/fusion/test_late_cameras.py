@@ -46,6 +46,7 @@ def tracked(
     frames: int = 24,
     late_s: float = 0.0,
     motion_m: np.ndarray = ACROSS,
+    drift: complex = 0.0,
     frequency_hz: Sequence[float] = (FREQUENCY_HZ,),
     seed: int = 1,
     subset_frames: np.ndarray | None = None,
@@ -53,7 +54,8 @@ def tracked(
 ) -> StereoMotion:
     """A pair that tracked 60 points of a body; `changes` of the edges that a camera shows, the right one late.
 
-    Each line has the motion of `motion_m` (3,) and an eighth turn more than the line before.
+    Each line has the motion of `motion_m` (3,) and an eighth turn more than the line before; by the end of the record
+    it has grown by the share `drift`.
     """
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.04, 0.04, (60, 3)) * [1.0, 1.0, 0.3]
@@ -64,6 +66,7 @@ def tracked(
         moved = np.zeros((frames, 3))
         for k, frequency in enumerate(frequency_hz):
             turn = np.exp(2j * np.pi * (frequency * (PERIOD_S * edges - delay_s) + k / 8))
+            turn *= 1.0 + drift * (edges - edges[0]) / frames
             moved += np.real(turn[:, None] * motion_m)
         positions = np.array([CAMERA.project(from_left.apply(points + MIDDLE + step)) for step in moved])
         sides.append(positions + NOISE_PX * rng.normal(size=positions.shape) / np.sqrt(2.0))
@@ -150,6 +153,13 @@ def test_a_change_between_frames_with_subsets_is_where_the_grey_values_show_it()
     some = np.arange(96) % 5 == 0
     error = checked(tracked({"right": dropped(52)}, frames=96, subset_frames=some))
     assert error.values["stated"] == "first_edge = { left = 6, right = [[0, 6], [52, 59]] }"
+
+
+@pytest.mark.parametrize("drift", [0.5j, -0.3, 0.2 - 0.6j])
+@pytest.mark.parametrize("beat", [0.03, 0.088, 0.41])
+def test_a_motion_that_changes_over_the_record_is_no_loss_of_frames(drift, beat):
+    frequency = [(2.0 + beat) / PERIOD_S]
+    assert isinstance(checked(tracked(drift=drift, frequency_hz=frequency), frequency), StereoMotion)
 
 
 def test_shifts_that_look_the_same_are_mentioned():
