@@ -378,13 +378,18 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
 
 
 def frame_sight(
-    manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
+    manifest: Manifest,
+    base: TimeBase,
+    entry: Images | PointFiles,
+    frames: int | IntArray,
+    rows: int = 1,
+    first_edge: int | None = None,
 ) -> Sight:
     """Return a stereo pair with exposure and instants of its frames.
 
     The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge number
-    of each (F,), counted from that of the first frame. With a rolling shutter of `rows`, instants are those of the
-    first row.
+    of each (F,), counted from that of the first frame, `first_edge`, by default as stated. With a rolling shutter of
+    `rows`, instants are those of the first row.
 
     The edge is that of the periodic model if the trigger has no jitter, and otherwise the measured edge. Measured edges
     include those in other blocks whose clocks are tied by this trigger. The exposure is as stated, or the pulse width
@@ -394,11 +399,12 @@ def frame_sight(
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     index = np.arange(frames) if isinstance(frames, int) else frames
     span = int(index[-1]) + 1
-    if entry.first_edge is None and trigger.edges > span:
+    stated = entry.first_edge if first_edge is None else first_edge
+    if stated is None and trigger.edges > span:
         expected = f"the number of the edge that belongs to the first of {len(index)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
         raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
-    first = entry.first_edge if isinstance(entry.first_edge, int) else 0
+    first = stated if isinstance(stated, int) else 0
     if first + span > trigger.edges:
         expected, edges_found = (
             f"at least {first + span} edges in {entry.trigger} for {len(index)} frames",
