@@ -9,7 +9,8 @@ standard uncertainties. Some 20 s per pair on one core. `--target faults`: sessi
 10 x 7 as points, 0.03 px of noise, with what real sessions have and nobody states; two rows more have the corners of
 rendered pictures, sharpened by a mask of amount 2: the errors over the uncertainties of the page, and over those of
 the residuals alone. True is the pair as it was at a random one of its views. With `--write` into the table of a page;
-some 60 s per pair. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by default `../shared/data` beside the
+some 60 s per pair. `--target held`: sessions with several images of each pose, which share an error; some 40 s per
+pair. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by default `../shared/data` beside the
 repository) has them, beside OpenCV's own calibration from the same points.
 """
 
@@ -33,10 +34,11 @@ from photogram.calibration.calibration_result import Calibration
 from photogram.calibration.initial_bundle import ViewPair
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import LEFT, RIGHT, Camera, StereoRig
-from photogram.geometry import RigidTransform, vector_from_rotation
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target, TargetNotFound, TargetView
@@ -50,6 +52,7 @@ SHARPENED_GAIN = 0.65  # of the light, so that the overshoot of sharpened pictur
 BOARDS = {
     "chessboard": Board(Target("chessboard", 9e-3, (9, 7))),
     "charuco": Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100")),
+    "aprilgrid": Board(Target("aprilgrid", 13e-3, (5, 4), tag_spacing=0.3)),
     "dots": Board(Target("dots", 8e-3, (11, 8))),
     "ring-dots": Board(Target("dots", 8e-3), rings=(5, 3)),
 }
@@ -71,17 +74,20 @@ class Outcome:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--target", choices=(*BOARDS, "faults", "real"), help="one of the targets (default: all)")
+    parser.add_argument(
+        "--target", choices=(*BOARDS, "faults", "held", "real"), help="one of the targets (default: all)"
+    )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the table of faults in a page")
     parser.add_argument("--amount", type=float, default=0.0, help="of an unsharp mask, σ = 1 px, on all pictures")
     parser.add_argument("--rigs", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="seed of the first pair")
     options = parser.parse_args()
-    for name in [options.target] if options.target else [*BOARDS, "faults", "real"]:
-        if name == "faults":
-            lines = faulty_rows(range(options.first, options.first + options.rigs))
+    for name in [options.target] if options.target else [*BOARDS, "faults", "held", "real"]:
+        if name in ("faults", "held"):
+            rows = faulty_rows if name == "faults" else held_rows
+            lines = rows(range(options.first, options.first + options.rigs))
             if options.write is not None:
-                write_marked(options.write, {"faults": "\n".join(lines)})
+                write_marked(options.write, {name: "\n".join(lines)})
             continue
         if name == "real":
             real_dot_grid()
@@ -224,6 +230,48 @@ def faulty_session(
     return calibration, normalised_errors(calibration, rig, float(rng.choice(faults.growth(views))))
 
 
+HELD_POSES = 10
+HELD = {  # images of each pose, error that they share, rad and tenths of m by which the target trembles
+    "0.05 px shared": [(each, 0.05, 0.0) for each in (1, 2, 4, 8)],
+    "0.05 px shared, the target trembles by 0.3°": [(4, 0.05, 0.005)],
+    "nothing shared": [(4, 0.0, 0.0)],
+}
+
+
+def held_rows(seeds: range) -> list[str]:
+    """Print and return the table of sessions with several images of each pose."""
+    lines = [
+        "| images of one pose | images of each | sessions | poses found | errors/u, rms | largest | beyond 2 u "
+        "| residuals alone, rms | largest |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    print(*lines, sep="\n")
+    for name, each, shared_px, tremor in ((name, *case) for name, cases in HELD.items() for case in cases):
+        found = [held_session(seed, each, shared_px, tremor) for seed in seeds]
+        poses = np.mean([calibration.pose_count() for calibration, _ in found])
+        stated, alone = ([ratios[number] for _, ratios in found] for number in (0, 1))
+        lines.append(faulty_row(f"{name} | {each} | {len(seeds)} | {poses:.1f}", stated, alone))
+        print(lines[-1], flush=True)
+    return lines
+
+
+def held_session(
+    seed: int, each: int, shared_px: float, tremor: float
+) -> tuple[Calibration, tuple[FloatArray, FloatArray]]:
+    """Return the calibration from `each` images of ten poses, and the errors over u."""
+    rng = np.random.default_rng(seed)
+    rig = random_rig(rng, FAULTY_SIZE_PX, FIELD_M)
+    middle, poses = FAULTY_BOARD.points_m.mean(axis=0), []
+    for pose in random_poses(rng, rig, FAULTY_BOARD, HELD_POSES):
+        for _ in range(each):
+            turn = rotation_from_vector(tremor * rng.normal(size=3)) @ pose.rotation
+            place = pose.apply(middle) + 0.1 * tremor * rng.normal(size=3)
+            poses.append(RigidTransform(turn, place - turn @ middle))
+    pairs = simulate_session(rng, rig, poses, FAULTY_BOARD, 0.03, SessionFaults(smooth_px=shared_px, held=each))
+    calibration = calibrate_pair(pairs, FAULTY_BOARD.target)
+    return calibration, normalised_errors(calibration, rig)
+
+
 def sharpened(
     rng: np.random.Generator, rig: StereoRig, pose: RigidTransform, faulty: ViewPair, ideal: ViewPair, amount: float
 ) -> ViewPair:
@@ -255,7 +303,7 @@ def true_pixels(
     board: Board, view: TargetView, camera: Camera, relative: RigidTransform, pose: RigidTransform
 ) -> FloatArray:
     """Return where the points (N, 2) of a view truly are."""
-    points = np.column_stack([view.index * board.target.spacing_m, np.zeros(len(view.index))])
+    points = board.target.points_m(view.index)
     radius = board.radius * board.target.spacing_m if view.radius > 0 else 0.0
     return model_pixels(camera, relative, pose, points, radius).pixel
 
@@ -293,14 +341,19 @@ def real_dot_grid() -> None:
         views = [list(workers.map(lambda path: find_target(*_picture(path, target)), side)) for side in paths]
     found = time.perf_counter() - started
     pairs = list(zip(*views, strict=True))
-    for shape in ("flat", "auto"):
-        calibration = calibrate_pair(pairs, target, shape)
+    common = common_points(pairs)
+    calibrations = {
+        "auto": calibrate_pair(pairs, target),
+        "flat": calibrate_pair(pairs, target, "flat"),
+        "flat, points of both images": calibrate_pair(common, target, "flat"),
+    }
+    for name, calibration in calibrations.items():
         rig, focal = calibration.rig, [*calibration.rig.left.parameters[:2], *calibration.rig.right.parameters[:2]]
         facts = f"{calibration.rms_px:.3f} | {_facts(rig.right_from_left, focal)}"
-        print(f"| this program, {shape} | {len(calibration.views)} | {facts} |")
+        print(f"| this program, {name} | {len(calibration.views)} | {facts} |")
     wall, cpu = time.perf_counter() - started, time.process_time() - busy
     print(f"points {found:.1f} s, all {wall:.1f} s wall, {cpu:.1f} s of CPU")
-    opencv_row(pairs, target)
+    opencv_rows(common, target, rig)
 
 
 def _picture(path: Path, target: Target) -> tuple[GreyImage, Target, str, int]:
@@ -313,25 +366,51 @@ def _facts(base: RigidTransform, focal_px: Sequence[float]) -> str:
     return f"{1e3 * np.linalg.norm(base.translation_m):.2f} | {angle:.2f} | {told}"
 
 
-def opencv_row(pairs: list[tuple[TargetView, TargetView]], target: Target) -> None:
-    """Print what cv2.calibrateCamera and cv2.stereoCalibrate make of the same points."""
-    objects = []
-    pixels: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = [], []
+def common_points(pairs: Sequence[tuple[TargetView, TargetView]]) -> list[tuple[TargetView, TargetView]]:
+    """Return the views with only the points that both images of a pair show, in one order."""
+    found = []
     for left, right in pairs:
-        common = {tuple(index) for index in left.index} & {tuple(index) for index in right.index}
-        order = sorted(common)
-        objects.append(np.array([(*index, 0) for index in order], np.float32) * np.float32(target.spacing_m))
-        for side, view in enumerate((left, right)):
-            place = {tuple(index): point for index, point in zip(view.index, view.position_px, strict=True)}
-            pixels[side].append(np.array([place[index] for index in order], np.float32))
+        order = sorted(
+            {tuple(index) for index in left.index.tolist()} & {tuple(index) for index in right.index.tolist()}
+        )
+        sides = []
+        for view in (left, right):
+            row = {tuple(index): number for number, index in enumerate(view.index.tolist())}
+            rows = [row[index] for index in order]
+            covariance, position = view.covariance_px2[rows], view.position_px[rows]
+            sides.append(replace(view, index=view.index[rows], position_px=position, covariance_px2=covariance))
+        found.append((sides[0], sides[1]))
+    return found
+
+
+def opencv_rows(pairs: Sequence[tuple[TargetView, TargetView]], target: Target, start: StereoRig) -> None:
+    """Print what cv2.stereoCalibrate makes of the same points: from its own start, and from `start`.
+
+    In OpenCV 5.0 CALIB_DISABLE_SCHUR_COMPLEMENT has the bit of CALIB_TILTED_MODEL: it adds two angles of the sensor.
+    """
+    objects = [
+        np.column_stack([view.index * target.spacing_m, np.zeros(len(view.index))]).astype(np.float32)
+        for view, _ in pairs
+    ]
+    left, right = ([pair[side].position_px.astype(np.float32) for pair in pairs] for side in (0, 1))
     size = tuple(int(n) for n in pairs[0][0].size_px)
-    single = [cv2.calibrateCamera(objects, side, size, None, None)[1:3] for side in pixels]
-    (k1, d1), (k2, d2) = single
-    found = cv2.stereoCalibrate(objects, *pixels, k1, d1, k2, d2, size, flags=cv2.CALIB_USE_INTRINSIC_GUESS)
-    rms, k1, _, k2, _, rotation, translation = found[:7]
-    focal = [k1[0, 0], k1[1, 1], k2[0, 0], k2[1, 1]]
-    base = RigidTransform(np.array(rotation, float), np.array(translation, float).ravel())
-    print(f"| OpenCV stereoCalibrate | {len(pairs)} | {rms:.3f} | {_facts(base, focal)} |")
+    own = [array for side in (left, right) for array in cv2.calibrateCamera(objects, side, size, None, None)[1:3]]
+    ours = [array.copy() for camera in (start.left, start.right) for array in (camera.matrix, camera.distortion[:5])]
+    other = getattr(cv2, "CALIB_DISABLE_SCHUR_COMPLEMENT", 0)
+    for name, cameras, flags in (
+        ("", own, 0),
+        (", other solver, which also tilts the sensors", own, other),
+        (" from this program's result", ours, 0),
+        (" from this program's result, sensors tilted", ours, cv2.CALIB_TILTED_MODEL),
+    ):
+        first, lens, second, other_lens = cameras
+        found = cv2.stereoCalibrate(
+            objects, left, right, first, lens, second, other_lens, size, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+        )
+        rms, k1, _, k2, _, rotation, translation = found[:7]
+        focal = [k1[0, 0], k1[1, 1], k2[0, 0], k2[1, 1]]
+        base = RigidTransform(np.array(rotation, float), np.array(translation, float).ravel())
+        print(f"| OpenCV{name}, points of both images | {len(pairs)} | {rms:.3f} | {_facts(base, focal)} |")
 
 
 if __name__ == "__main__":

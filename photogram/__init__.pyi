@@ -20,8 +20,8 @@ from .motion import fit_motion as fit_motion
 from .point_tables import read_point_tables as read_point_tables
 from .subsets.icgn import TrackSettings as TrackSettings
 from .subsets.track import track_stereo as track_stereo
-from .synthetic.board import Board as Board
 from .synthetic.board import render_board as render_board
+from .synthetic.patterns import Board as Board
 from .synthetic.scene import Face as Face
 from .synthetic.scene import ImageSensor as ImageSensor
 from .synthetic.scene import render as render

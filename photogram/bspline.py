@@ -172,10 +172,11 @@ REACH_PX, PER_PX = 12, 64
 
 
 def pattern_overlap(shift_px: FloatArray, degree: int = 5) -> tuple[FloatArray, FloatArray]:
-    """Return the correlations of a white pattern with its interpolation at one-dimensional shifts u, of any shape.
+    """Return two correlations of a white pattern with its interpolation at shifts u.
 
-    The first is that of its values, h(u); the second that of its slopes, Σ_k h′(−k)·h(u−k), with the cardinal spline h.
-    They are 1 and 0 for u = 0, and vanish beyond two pixels.
+    The shifts, of any shape, are along one axis. The first correlation is that of the pattern's values, h(u). The
+    second is that of its slopes, Σ_k h′(−k)·h(u−k), with the cardinal spline h. They are 1 and 0 for u = 0, and vanish
+    beyond two pixels.
 
     >>> [np.round(part, 2).tolist() for part in pattern_overlap(np.array([0.0, 0.5, 3.0]))]
     [[1.0, 0.62, 0.0], [0.0, 0.78, 0.0]]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.synthetic.board import Board, render_board
+from photogram.synthetic.board import render_board
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.target_view import Target, TargetView
 from shakercal._common.arrays import FloatArray

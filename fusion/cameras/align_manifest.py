@@ -113,15 +113,22 @@ class FaceBlock(ManifestBlock):
 class TargetBlock(ManifestBlock):
     """The calibration target of the views."""
 
-    kind: Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
+    kind: Literal["chessboard", "charuco", "aprilgrid", "dots", "asymmetric-dots"]
     spacing: Positive
     size: Annotated[tuple[int, int] | None, BeforeValidator(_size)] = None
     dictionary: Text | None = None
+    tag_spacing: Positive | None = None
+    first_id: int | None = None
+
+    @property
+    def target(self) -> Target:
+        """The target."""
+        return Target(self.kind, self.spacing, self.size, self.dictionary, self.tag_spacing, self.first_id)
 
     @model_validator(mode="after")
     def _can_be_looked_for(self) -> Self:
         try:
-            Target(self.kind, self.spacing, self.size, self.dictionary)
+            _ = self.target
         except ValueError as error:
             key, _, sentence = str(error).partition(": expected ")
             expected, _, found = sentence.rpartition(", found ")
@@ -324,7 +331,7 @@ def orientation_notices(file: AlignmentFile) -> list[Notice]:
     """Return a notice of a symmetric target without other evidence about its orientation."""
     if file.target is None or not (file.target_view or file.common_view):
         return []
-    target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
+    target = file.target.target
     if not target_symmetries(target) or file.pose or file.point or file.face or file.motion or file.axis:
         return []
     return [Notice(SYMMETRIC_TARGET, "target")]
@@ -337,7 +344,7 @@ def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> li
     evidence: list[PoseEvidence] = [_points(path, file.point, pair, datum)] if file.point else []
     evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
-        target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
+        target = file.target.target
         if not target.is_likely:
             found = f"{target.spacing_m:g} m, of a target {target.length_m:.3g} m long"
             expected = f"a spacing in m, of a target {SHORTEST_M:g} to {LONGEST_M:g} m long"

@@ -6,6 +6,7 @@ the reverse.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import re
@@ -22,7 +23,7 @@ import numpy as np
 
 from fusion.base import ProgressCallback, check_new_file, natural_key, no_progress, versions
 from fusion.cameras.camera_notices import IMAGE_LISTS, OUTPUT_SUFFIX, TOO_FEW_IMAGES
-from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m, points_of_board
+from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m
 from fusion.cameras.camera_report import render_camera_report
 from fusion.errors import InputError, as_input_error
 from fusion.report.atomic_files import report_write_errors, write_atomically
@@ -33,11 +34,12 @@ from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
 from photogram.calibration.calibration_result import Calibration, KnownLength, Rejection, scale_to_length
 from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
-from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair
+from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair, number_partial, whole_views
 from photogram.calibration.session import calibrate_pair
 from photogram.images.image_files import read_image
+from photogram.images.sequence import GreyImage
 from photogram.images.tiff import read_orientations, tag_notices
-from photogram.targets.charuco import dictionary_of
+from photogram.targets.charuco import dictionary_of, marker_count
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target, TargetNotFound, TargetView
 from shakercal._common.notices import Notice
@@ -51,6 +53,7 @@ class CameraSettings:
     """Settings of a calibration: target, geometry and lens model, scale.
 
     `scale_u` is the relative standard uncertainty of the spacing, `known_length` an independently measured length.
+    `boards`: numbers of the first markers of several boards like the target, empty for one board.
     """
 
     target: Target
@@ -58,6 +61,24 @@ class CameraSettings:
     scale_u: float = 0.0
     lens: LensKind | Literal["auto"] = "auto"
     known_length: KnownLength | None = None
+    boards: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse boards that share markers, and common deviations of their points."""
+        if len(self.boards) > 1 and self.shape not in ("auto", "flat"):
+            expected = "flat for several boards, whose points deviate each in its own way"
+            raise ValueError(f"shape: expected {expected}, found {self.shape}")
+        marked = sorted(self.targets, key=lambda target: target.first_id or 0)
+        for one, other in itertools.pairwise(marked):
+            last = (one.first_id or 0) + marker_count(one) - 1
+            if (other.first_id or 0) <= last:
+                found = f"{other.first_id}, of a board that ends with {last}"
+                raise ValueError(f"first_id: expected numbers of boards without common markers, found {found}")
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """The target of each board."""
+        return tuple(replace(self.target, first_id=board) for board in self.boards) or (self.target,)
 
 
 def calibrate_cameras(
@@ -72,30 +93,48 @@ def calibrate_cameras(
     with the reason. Raises `InputError` if the remaining ones do not determine a calibration.
     """
     images = [*left, *(right or [])]
-    views: list[TargetView | None] = []
+    views: list[list[TargetView | None]] = []
     failed: list[Rejection] = []
-    find = partial(_find, _targets(settings.target, images[0]))
+    find = partial(_find, [_alternatives(target, images[0]) for target in settings.targets])
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
-        for path, view in zip(images, workers.map(find, images), strict=True):
-            views.append(view if isinstance(view, TargetView) else None)
-            if isinstance(view, TargetView) and view.lost:
-                failed.append(Rejection(str(path), view.lost, view.loss_reasons))
-            failed += [] if isinstance(view, TargetView) else [Rejection(str(path), 0, str(view))]
+        for path, outcomes in zip(images, workers.map(find, images), strict=True):
+            views.append([view if isinstance(view, TargetView) else None for view in outcomes])
+            seen = [view for view in views[-1] if view is not None]
+            failed += [
+                Rejection(view.name, view.lost, view.loss_reasons) for view in seen if view.lost and not view.is_partial
+            ]
+            failed += [] if seen else [Rejection(str(path), 0, "; ".join(dict.fromkeys(map(str, outcomes))))]
             progress("find target", len(views), len(images))
-    pairs: list[ViewPair] = [(view, None) for view in views]
+    pairs: list[ViewPair] = [(view, None) for seen in views for view in seen]
     if right is not None:
-        pairs = list(zip(views[: len(left)], views[len(left) :], strict=True))
+        both = zip(views[: len(left)], views[len(left) :], strict=True)
+        pairs = [pair for seen in both for pair in zip(*seen, strict=True)]
+    whole = [whole_views(pair) for pair in pairs]
+    parts = [view for pair in pairs for view in pair if view is not None and view.is_partial]
+    unnumbered = [Rejection(view.name, 0, view.loss_reasons) for view in parts]
     sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
-    for (side, paths), seen in zip(sides, zip(*pairs, strict=True), strict=False):
-        usable = sum(view is not None for view in seen)
+    for (side, paths), column in zip(sides, zip(*whole, strict=True), strict=False):
+        usable = sum(view is not None for view in column)
         if usable < FEWEST_VIEWS:
-            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no image failed"
+            reasons = (
+                "; ".join(f"{Path(item.name).name}: {item.reason}" for item in (*failed, *unnumbered))
+                or "no image failed"
+            )
             found = f"{usable} usable of {len(paths)} {side if right is not None else ''}images ({reasons})"
             expected = f"at least {FEWEST_VIEWS} of each camera"
             raise InputError(TOO_FEW_IMAGES, _folder(paths), found=found, expected=expected)
     progress("adjust", 0, 1)
+    shape = "flat" if len(settings.boards) > 1 and settings.shape == "auto" else settings.shape
     with as_input_error(_folder(images)):
-        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
+        calibrate = partial(
+            calibrate_pair, target=settings.target, shape=shape, scale_u=settings.scale_u, lens=settings.lens
+        )
+        calibration = calibrate(whole)
+        if parts:
+            numbered = [number_partial(calibration.rig, settings.target, *pair) for pair in pairs]
+            names = {view.name for pair in numbered for view in pair if view is not None}
+            failed += [rejection for rejection in unnumbered if rejection.name not in names]
+            calibration = calibrate(numbered) if any(view.name in names for view in parts) else calibration
     if settings.known_length is not None:
         with as_input_error(_folder(images), "--known-length"):
             calibration = scale_to_length(calibration, settings.known_length)
@@ -130,7 +169,8 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
     distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
-    print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
+    print(_of_poses(calibration, pairs, "pairs"), end=", ")
+    print(f"rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
     print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
     print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
@@ -140,6 +180,12 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
+
+
+def _of_poses(calibration: Calibration, count: int, kind: str) -> str:
+    """Return the number of views, with that of different poses if it is smaller."""
+    poses = calibration.pose_count()
+    return f"{count} {kind}" + (f" of {poses} poses" if poses < len(calibration.views) else "")
 
 
 def run_cameras(
@@ -159,6 +205,8 @@ def run_cameras(
         "lens": str(settings.lens),
         "scale_uncertainty": settings.scale_u,
     }
+    if settings.boards:
+        used["first_id"] = ",".join(map(str, settings.boards))
     if settings.known_length is not None:
         used["known_length"] = " ".join(str(value) for value in asdict(settings.known_length).values())
     provenance = Provenance(inputs.hashes, used, versions(), (output.name, page.name))
@@ -182,7 +230,7 @@ def run_camera(
     inputs.check()
     with report_write_errors(output):
         write_camera(output, calibration)
-    print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
+    print(f"{_of_poses(calibration, len(calibration.views), 'views')}, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
         print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u)} {item.unit}")
     _print_remarks(calibration)
@@ -200,44 +248,51 @@ def _print_remarks(calibration: Calibration) -> None:
     """Print the rejected images and the notices."""
     seen = [image for view in calibration.views for image in (view.left, view.right) if image]
     points = {image.name: len(image.used) for image in seen}
-    every = points_of_board(calibration.target)
+    every = calibration.target.points
     of = "" if every is None else f" of {every}"
     print(f"points found: {min(points.values())} to {max(points.values())}{of} in an image")
     for dropped in calibration.rejections:
-        what = f"{dropped.points} of {points[dropped.name]} points rejected, " if dropped.points else "rejected: "
+        whole = f" of {points[dropped.name]}" if dropped.name in points else ""  # of an image that is used
+        what = f"{dropped.points}{whole} points rejected, " if dropped.points else "rejected: "
         print_text(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
         print_text(f"{notice.severity} {notice.code} {notice.where}: {notice.text}")
 
 
-def _targets(target: Target, first: Path) -> tuple[Target, ...]:
-    """Return the targets to search for in an image; the last is the stated one.
+def _alternatives(target: Target, first: Path) -> tuple[Target, ...]:
+    """Return the forms of a target to search for; the last is the stated one.
 
     The dictionary of a board's markers takes longer to find than the board; it is that of the first image.
     """
     if target.kind == "charuco" and target.dictionary is None and target.size is not None:
         with suppress(OSError, ValueError):
-            dictionary = dictionary_of(read_image(first)[0], target.size)
+            dictionary = dictionary_of(read_image(first)[0], target)
             if dictionary is not None:
                 return replace(target, dictionary=dictionary), target
     return (target,)
 
 
-def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
-    """Return the first target found in one image, or the reason of the last failure."""
+def _find(boards: Sequence[Sequence[Target]], path: Path) -> list[TargetView | str]:
+    """Return the view of each board in one image, or the reason of the failure."""
     if not path.exists():
         raise InputError(IMAGE_LISTS, path, found="no such file", expected="an image")
     try:
         image, full_scale = read_image(path)
     except (OSError, ValueError) as error:
-        return str(error).removeprefix(f"{path}: ")
-    why = ""
+        return [str(error).removeprefix(f"{path}: ")] * len(boards)
+    names = [str(path) if len(boards) == 1 else f"{path}, board {targets[-1].first_id}" for targets in boards]
     with as_input_error(path):
-        for target in targets:
-            try:
-                return find_target(image, target, str(path), full_scale)
-            except TargetNotFound as error:
-                why = str(error)
+        return [_find_one(image, targets, name, full_scale) for targets, name in zip(boards, names, strict=True)]
+
+
+def _find_one(image: GreyImage, targets: Sequence[Target], name: str, full_scale: int) -> TargetView | str:
+    """Return the first target that is found, or the reason of the last failure."""
+    why = ""
+    for target in targets:
+        try:
+            return find_target(image, target, name, full_scale, partial=True)
+        except TargetNotFound as error:
+            why = str(error)
     return why
 
 

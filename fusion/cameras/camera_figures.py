@@ -308,7 +308,7 @@ def draw_shape(calibration: Calibration) -> Figure | None:
     shape = target_shape(calibration)
     if shape is None:
         return None
-    spacing_mm = 1e3 * calibration.target.spacing_m
+    spacing_mm = 1e3 * calibration.target.cell_m
     extent = 1e3 * np.ptp(shape.lattice_m, axis=0) + 4.0 * spacing_mm
     drawn = image_sheet("shape", 2, extent, BAR_IN)
     height, inside = 1e6 * shape.height_m, np.hypot(*shape.inside_m.T)

@@ -11,7 +11,6 @@ import numpy as np
 from photogram.calibration.calibration_result import COVERAGE_CELLS, CalibratedImage, CalibratedView, Calibration
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
-from photogram.targets.target_view import Target
 from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.propagation import derivatives
 
@@ -96,14 +95,6 @@ def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
     """Return one camera and the covariance (13, 13) of its parameters."""
     indices = LEFT if side == "left" else RIGHT
     return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(indices, indices)]
-
-
-def points_of_board(target: Target) -> int | None:
-    """Return the number of a target's points; None for dots with ring markers."""
-    if target.size is None:
-        return None
-    columns, rows = target.size
-    return (columns - 1) * (rows - 1) if target.kind == "charuco" else columns * rows
 
 
 def baseline_m(rig: StereoRig) -> DerivedQuantity:
@@ -230,7 +221,7 @@ def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
     """Return the common parts of one camera's residuals."""
     (position, residual, view), spacing = used_points(calibration, side), calibration.target.spacing_m
     index = np.concatenate([p.index[p.used] for p in images_of_camera(calibration, side) if p is not None])
-    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
+    lattice = calibration.target.points_m(index)
     step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     on_target = np.empty_like(residual)  # in the target's plane, in m
     for number in np.unique(view):
@@ -252,8 +243,7 @@ def target_shape(calibration: Calibration) -> TargetShape | None:
 
     The lattice is fitted as a rigid body.
     """
-    index = calibration.shape_index
-    lattice = calibration.target.spacing_m * np.column_stack([index, np.zeros(len(index))])
+    lattice = calibration.target.points_m(calibration.shape_index)
     if np.abs(calibration.shape_m - lattice).max() < 1e-12:
         return None
     departure = fit_rigid(calibration.shape_m, lattice).apply(calibration.shape_m) - lattice

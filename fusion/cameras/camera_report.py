@@ -31,7 +31,6 @@ from fusion.cameras.camera_quantities import (
     distance_m,
     images_of_camera,
     length_u,
-    points_of_board,
     residual_parts,
     target_middles_m,
     tilts_rad,
@@ -80,6 +79,7 @@ MEANINGS = {
 KINDS = {
     "chessboard": "chessboard",
     "charuco": "ChArUco board",
+    "aprilgrid": "AprilGrid",
     "dots": "dots",
     "asymmetric-dots": "dots in staggered rows",
 }
@@ -111,8 +111,9 @@ def subject(calibration: Calibration) -> list[tuple[str, str]]:
     ]
     spacing = quantity_html(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm").striptags()
     stated = f"{spacing}, k = 2" if calibration.scale_u > 0 else f"{spacing}, its uncertainty not stated"
+    gap = f", gaps of {target.tag_spacing:g} tags" if target.tag_spacing is not None else ""
     return [
-        ("Target", f"{KINDS[target.kind]}{size}"),
+        ("Target", f"{KINDS[target.kind]}{size}{gap}"),
         ("Spacing", stated),
         ("Images", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
     ]
@@ -295,7 +296,7 @@ def views_table(calibration: Calibration) -> Table | None:
     lengths = (distance_m(calibration, view) for view in calibration.views)
     distances = [quantity_html(1e3 * length.value, 2e3 * length.u) for length in lengths]
 
-    every = points_of_board(calibration.target)
+    every = calibration.target.points
 
     def both(index: int, shown: Callable[[CalibratedImage], str]) -> Markup:
         """Return a cell with the entry of the left image above that of the right."""
@@ -337,7 +338,9 @@ def _views_headline(calibration: Calibration) -> Headline:
     used, every = sum(int(image.used.sum()) for image in seen), sum(len(image.used) for image in seen)
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     whole = sum(item.points == 0 for item in calibration.rejections)
-    value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
+    views, poses = len(calibration.views), calibration.pose_count()
+    value = f"{pairs} pairs" + (f" in {views} views" if pairs < views else "")
+    value += f" of {poses} poses" if poses < views else ""
     remark = f"{used} points in the fit, {every - used} rejected; images rejected: {whole}"
     return Headline("Views", value, remark)
 

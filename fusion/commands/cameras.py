@@ -7,9 +7,10 @@ help.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from fusion.base import Settings
-from fusion.commands.options import Parser, command, in_metres, length, path, share, size
+from fusion.commands.options import Parser, command, in_metres, length, path, share, size, whole_numbers
 from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
 from fusion.report.terminal import progress_bar
 
@@ -17,12 +18,18 @@ from fusion.report.terminal import progress_bar
 def _cameras_options(parser: Parser) -> None:
     text = "left images, then the right ones in the same order; or two folders"
     parser.add_argument("images", nargs="+", metavar="IMAGES", help=text)
-    kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
+    kinds = ("chessboard", "charuco", "aprilgrid", "dots", "asymmetric-dots")
     parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
-    text = "side of a square, or centre to centre of dots: in m, or with its unit, such as 7mm"
+    text = "side of a square or a tag, or centre to centre of dots: in m, or with its unit, such as 7mm"
     parser.value("--spacing", length, "LENGTH", text, required=True)
-    parser.value("--size", size, "9x6", "inner corners (chessboard), squares (charuco) or dots: columns x rows")
+    parser.value(
+        "--size", size, "9x6", "inner corners (chessboard), squares (charuco), tags (aprilgrid) or dots: columns x rows"
+    )
     parser.value("--dictionary", str, "NAME", "ArUco dictionary such as DICT_4X4_50 (default: found)")
+    text = "gap between two tags of an AprilGrid over the side of a tag (Kalibr's tagSpacing), such as 0.3"
+    parser.value("--tag-spacing", float, "RATIO", text)
+    text = "number of a board's first marker (default: 0, no other board in view); 0,44 for several boards"
+    parser.value("--first-id", whole_numbers, "N", text)
     text = "relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)"
     parser.value("--scale-uncertainty", share, "U", text, default=0.0)
     text = "flat or bowed target, or an estimated offset of every point (default: auto, flat if it fits)"
@@ -50,23 +57,26 @@ def cameras(options: argparse.Namespace) -> None:
     from photogram.targets.target_view import Target
 
     try:
-        target = Target(options.target, options.spacing.m, options.size, options.dictionary)
+        boards = options.first_id or ()
+        first = boards[0] if boards else None
+        target = Target(options.target, options.spacing.m, options.size, options.dictionary, options.tag_spacing, first)
+        settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, boards=boards)
     except ValueError as error:
         key, _, sentence = str(error).partition(": ")
-        raise InputError(INVALID_OPTION, "shakercal cameras", f"--{key}", reason=sentence) from error
+        option = f"--{key.removesuffix('_m').replace('_', '-')}"
+        raise InputError(INVALID_OPTION, "shakercal cameras", option, reason=sentence) from error
     if not options.spacing.unit and not target.is_likely:
         spacing = f"{options.spacing.m:g}"
         found = f"{spacing} m, of a target {target.length_m:.3g} m long"
         expected = f"a unit with the number: {spacing}mm or {spacing}m"
         raise InputError(LENGTH_UNIT_REQUIRED, "shakercal cameras", "--spacing", found=found, expected=expected)
-    known = None
     if options.known_length is not None:
         try:
-            first, second, *words = options.known_length
-            known = KnownLength.from_words(first, second, *map(in_metres, words))
+            start, end, *words = options.known_length
+            known = KnownLength.from_words(start, end, *map(in_metres, words))
+            settings = replace(settings, known_length=known)
         except ValueError as error:
             raise InputError(INVALID_OPTION, "shakercal cameras", "--known-length", reason=str(error)) from error
-    settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
     with progress_bar(enabled=not options.quiet) as progress:
         run = run_camera if options.mono else run_cameras
         run(options.images, settings, options.output, options.force, progress)
@@ -75,7 +85,12 @@ def cameras(options: argparse.Namespace) -> None:
 def _import_calibration_options(parser: Parser) -> None:
     parser.value("calibration", path, "FILE", "the other program's file")
     parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T if separate, ROS's right camera")
+    text = "second file: OpenCV's R and T if separate, right camera of ROS or mrcal, COLMAP's images"
+    parser.value("--extrinsics", path, "FILE", text)
+    text = (
+        "left and right camera of a file with more than two: their names, of COLMAP and Metashape those of two images"
+    )
+    parser.add_argument("--cameras", nargs=2, metavar=("LEFT", "RIGHT"), help=text)
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, if it does not state it"
     parser.add_argument("--length-unit", choices=("m", "mm", "cm", "um", "in"), help=text)
@@ -88,11 +103,12 @@ def _import_calibration_options(parser: Parser) -> None:
 
 @command(_import_calibration_options, "calibration.xml -o top.json")
 def import_calibration(options: argparse.Namespace) -> None:
-    """Import a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
+    """Import a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS, Kalibr and others."""
     from fusion.cameras.calibrate import convert_calibration
 
     names = ("image_size", "length_unit", "extrinsics", "even_radial", "distortion_model")
     stated = {name: getattr(options, name) for name in names}
+    stated["cameras"] = tuple(options.cameras) if options.cameras else None
     kind = convert_calibration(options.calibration, options.output, options.force, **stated)
     print(f"calibration of {kind} written: {options.output}")
 

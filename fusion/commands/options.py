@@ -203,6 +203,14 @@ def size(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Return the whole numbers of a text such as 0,44."""
+    parts = text.split(",")
+    if not all(part.isdecimal() and len(part) <= 6 for part in parts):
+        raise argparse.ArgumentTypeError(f"expected whole numbers such as 0 or 0,44, found {ascii(text)[:60]}")
+    return tuple(int(part) for part in parts)
+
+
 def band(text: str) -> tuple[float, float]:
     """Return the two frequencies of a text such as 10:2000."""
     low, colon, high = text.partition(":")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION, PATTERN, PERIODIC, SURFACE
-from fusion.phasors.pattern_effects import pattern_effects
+from fusion.phasors.pattern_effects import PatternReading
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
     NO_RIGID_MOTION,
@@ -27,6 +27,7 @@ from photogram.camera import (
 from photogram.direct.surface import PlacedCamera, Shapes, project_body_points
 from photogram.frame_statistics import RunningMean, spread_choice
 from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.measure.body import TrackedSubsets
 from photogram.motion import RigidMotion, relative_to
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.normal_equations import SineSums
@@ -50,7 +51,7 @@ def image_effects(
     usable: NDArray[np.bool_],
     gain: FloatArray,
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
-    """Return effects of calibration, pixel grid and fixed pattern on phasors, of the first two on shape amplitudes.
+    """Return effects of calibration, pixel grid and fixed pattern on phasors and shapes.
 
     On phasors NaN at lines not `usable`; on amplitudes of shapes at the usable ones. For a single camera also the
     effects of the stated surface, and of the pose through it (THROUGH).
@@ -72,7 +73,9 @@ def image_effects(
     of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
     periodic, periodic_of_shapes = _periodic_effects(measured, view, mean_positions, bias_px, len(frequency_hz))
     changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}
-    changes[PATTERN] = pattern_effects(measured, view, frequency_hz)
+    reading = pattern_reading(measured, view)
+    if reading is not None:
+        changes[PATTERN] = reading.effects(frequency_hz)
     if isinstance(view.rig, FaceCamera):
         changes |= surface_effects(measured, view.rig, frames, view.deformed.shapes)
     effects, loss = {}, gain[usable][:, None]
@@ -80,6 +83,14 @@ def image_effects(
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / loss
     return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
+
+
+def pattern_reading(measured: StereoMotion, view: ImageView) -> PatternReading | None:
+    """Return the motion with its fixed pattern, None without a grey-value fit."""
+    if view.pattern is None or not isinstance(view.tracks, TrackedSubsets):
+        return None
+    amplitude = view.deformed.amplitude
+    return PatternReading(measured.sight.time_s, measured.motion.pose, amplitude, view.pattern, view.tracks)
 
 
 def _periodic_effects(

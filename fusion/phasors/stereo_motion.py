@@ -81,7 +81,8 @@ class PreparedImages:
     `sight`; `cameras`: images of each camera; `rig`; `first`: the first left image. `notices`: of the files and their
     contradictions to the manifest. `depth_m`: nearest and farthest depth in the left camera at which its body can be
     (`depth_range_m`), None if not known. `modes`: of an elastic load, with measurable amplitudes. `entry`: as the
-    manifest states them. `copied` (F,): frames in which a camera repeats an earlier one.
+    manifest states them. `copied` (F,): frames in which a camera repeats an earlier one. `displaced`: further images of
+    each camera, of the displaced body.
     """
 
     sight: Sight
@@ -93,6 +94,7 @@ class PreparedImages:
     modes: ModeShapes | None
     entry: Images
     copied: BoolArray
+    displaced: tuple[ImageSequence, ...]
 
     @property
     def left(self) -> ImageSequence:
@@ -260,7 +262,7 @@ def prepare_images(
                 replace(sequences[number], most_saturated=MAX_SATURATED), first[number]
             )
         sequences[number] = _with_pattern(manifest, sight, side, sequences[number])
-        first[number] = sequences[number].read(0)
+        first[number] = sequences[number].without_pattern(first[number])
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]
@@ -274,13 +276,26 @@ def prepare_images(
         from fusion.sensitivity.mode_shapes import mode_shapes
 
         modes = mode_shapes(load, sight.name)
-    placed = replace(sight, pair=pair)
-    return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(notices), depth_m, modes, entry, copied)
+    whole = replace(sight, pair=pair), tuple(sequences), rig, first[0], tuple(notices), depth_m, modes, entry, copied
+    return PreparedImages(*whole, _displaced(manifest, entry, sequences))
+
+
+def _displaced(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[ImageSequence, ...]:
+    """Return the images of the displaced body of each camera, of the same size and sensor as the others."""
+    found = []
+    for (key, files), images in zip(entry.displaced, sequences, strict=False):
+        with as_input_error(manifest.path, f"images.{entry.stereo}.{key}"):
+            opened = open_sequence(files, entry.bit_depth)
+            if opened.size_px != images.size_px:
+                size, other = ("{} x {} px".format(*one.size_px) for one in (images, opened))
+                raise ValueError(f"{opened.names[0]}: expected {size} as of {images.names[0]}, found {other}")
+        found.append(replace(opened, flat_field=images.flat_field, pattern=images.pattern))
+    return tuple(found)
 
 
 def _with_pattern(manifest: Manifest, sight: Sight, side: str, images: ImageSequence) -> ImageSequence:
-    """Return the images of a camera with its fixed pattern as stated, corrected by dark and flat images."""
-    stated: SensorOfCamera = getattr(sight.pair, side)
+    """Return a camera's images with its fixed pattern as stated, or corrected."""
+    stated: SensorOfCamera = getattr(sight.pair, side) or SensorOfCamera()
     if not (stated.dark or stated.flat):
         return replace(images, pattern=stated_pattern(stated.prnu, stated.dsnu))
     from photogram.images.flat_field import corrected_sequence, flat_field

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -16,8 +16,7 @@ from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import PATTERN, StereoReading
 from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
-from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
-from fusion.phasors.pattern_effects import pattern_notices
+from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects, pattern_reading
 from fusion.phasors.phasor_notices import (
     BODY_DISPLACED,
     BODY_LOST,
@@ -66,8 +65,9 @@ class StereoResult(Arrays):
     `reference_image` (H, W), `subsets_px` (N, 2): first left image and its subsets, None for points of another program.
     `deflection`: of the points at the usable lines; `shapes`: from all pixels; both None for a single camera, which
     cannot separate depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard deviation of a
-    subset's coordinate, as predicted from the first images and as measured. `epipolar`: test of the calibration per
-    frame; its notices are among the evaluation's.
+    subset's coordinate, as predicted from the first images and as measured. `prnu` (cameras, 2): rms of the pixels'
+    gains by the fixed pattern, and u. `epipolar`: test of the calibration per frame; its notices are among the
+    evaluation's.
 
     `stationarity`: the six components over blocks of whole beats, without exposure correction. `u_exposure_s`: 0 for a
     stated exposure. `u_rate`: relative, of the frame rate. `surface`: points and their deformation in every frame, some
@@ -95,6 +95,7 @@ class StereoResult(Arrays):
     surface: Iterable[Deformation] | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
+    prnu: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
@@ -175,8 +176,7 @@ def stereo_phasors(
     notices = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, length_s)
-    timing = combine_timing_errors([*base.sight_errors(sight), *line_errors])
-    errors = [error.effect_on_fit(fit, usable, 2) for error in timing]
+    errors = [e.effect_on_fit(fit, usable, 2) for e in combine_timing_errors([*base.sight_errors(sight), *line_errors])]
     errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
@@ -185,9 +185,7 @@ def stereo_phasors(
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
         if isinstance(view.rig, StereoRig):
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
-        by_pattern = effects[PATTERN][:, usable] * gain[usable, None]
-        driven = frequency_hz, np.asarray(lines.multiple[usable] == 1)
-        notices += pattern_notices(measured, view, driven, moved, by_pattern)
+        notices += _of_pattern(measured, view, lines, usable, moved, effects)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -221,6 +219,22 @@ def stereo_phasors(
     )
     result = result if view is None else _with_view(replace(result, shapes=shapes), view)
     return StereoPhasors(result, reading, _named(measured, of_phasors))
+
+
+def _of_pattern(
+    measured: StereoMotion,
+    view: ImageView,
+    lines: LineFrequencies,
+    usable: NDArray[np.bool_],
+    moved: Phasors,
+    effects: Mapping[str, ComplexArray],
+) -> Iterator[Notice]:
+    """Yield the notices of the sensors' fixed pattern."""
+    reading = pattern_reading(measured, view)
+    if reading is not None:
+        frequency_hz, driven = lines.frequency_hz[usable], np.asarray(lines.multiple[usable] == 1)
+        gain = exposure_gain(frequency_hz, measured.sight.exposure.length_s)
+        yield from reading.notices((frequency_hz, driven), moved, effects[PATTERN][:, usable] * gain[:, None])
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
@@ -372,6 +386,7 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
         median_zncc=view.zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
+        prnu=None if view.pattern is None else view.pattern.prnu,
         epipolar=None if view.epipolar is None else replace(view.epipolar, notices=()),
     )
 

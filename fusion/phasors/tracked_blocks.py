@@ -313,7 +313,8 @@ def _prepared(
         strongest = np.argsort(lines.multiple, kind="stable")  # mostly
         terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
     rolls = any(images.sight.pair.row_time)
-    prior = BodyPrior(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
+    absent = images.copied if images.copied.any() else None
+    prior = BodyPrior(images.depth_m, images.modes, rolls, terms, absent, images.displaced)
     return prepare_body(*inputs, resolve_device(settings.device), prior=prior)
 
 

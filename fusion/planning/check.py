@@ -400,7 +400,8 @@ def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: f
         return text, [f"images {images.stereo}: {' '.join(str(error).split())}", *calibration_problems(pair, ())]
     sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
     left = sequences[0]
-    text += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
+    sizes = dict.fromkeys(f"{width} x {height}" for width, height in (images.size_px for images in sequences))
+    text += f", {len(left)} frames of {' and '.join(sizes)} px, grey values up to {left.full_scale:g}"
     text += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
     if any(pair.row_time):
         read_s = pair.readout_s(left.size_px[1])

@@ -60,14 +60,18 @@ class MotionSize:
         """Whether relative uncertainties can be calculated."""
         return self.noise_m is not None and (self.amplitude_m is not None or self.acceleration_mps2 is not None)
 
+    def displacement_m(self, frequency_hz: float) -> float | None:
+        """Return the amplitude of a fundamental, None if unknown."""
+        if self.acceleration_mps2 is not None:
+            return float(self.acceleration_mps2 / (2.0 * np.pi * frequency_hz) ** 2)
+        return self.amplitude_m
+
     def relative(self, plan: RatePlan, k: int) -> float | None:
         """Return the relative standard uncertainty of line k's amplitude, None if unknown.
 
         It is also that of its phase in rad.
         """
-        amplitude = self.amplitude_m
-        if self.acceleration_mps2 is not None:
-            amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * plan.lines.frequency_hz[k]) ** 2)
+        amplitude = self.displacement_m(float(plan.lines.frequency_hz[k]))
         if amplitude is None or self.noise_m is None or plan.lines.multiple[k] != 1:
             return None
         return float(plan.u_amplitude[k]) * self.noise_m / amplitude
@@ -431,6 +435,13 @@ def print_plan(plan: Plan) -> None:
         print_text("(--noise with --amplitude or --acceleration gives numbers)")
     distance_text = "distance: smallest one of two aliased lines, in bins of rate/frames"
     print_text(f"{distance_text} ({CLEAR_BINS:g} required); loss: of amplitude, by exposure (a run corrects it)")
+    smallest = request.size.displacement_m(max(request.frequency_hz))
+    if smallest is not None:
+        moved = f"The displacement at {max(request.frequency_hz):.9g} Hz is {1e6 * smallest:.3g} µm."
+        shown = "show how large the fixed pattern of the sensors is (docs/tracking.md)."
+        print_text(
+            f"{moved} Below 0.1 px in the images, add 5 to 10 images of the body displaced by 1 to 5 px: they {shown}"
+        )
 
 
 def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:

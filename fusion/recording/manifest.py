@@ -367,11 +367,13 @@ class Images(Frames):
     """Image sequences of the cameras of a stereo pair, in natural order.
 
     `right` is empty for a single camera. Subsets are inside the `region` of the first left image, outside every `mask`:
-    x, y, width, height in px.
+    x, y, width, height in px. `displaced_left`, `displaced_right`: further images of the body at other places.
     """
 
     left: ExistingFiles
     right: ExistingFiles = ()
+    displaced_left: ExistingFiles = ()
+    displaced_right: ExistingFiles = ()
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None
     region: Region | None = None
     mask: Mask = ()
@@ -384,9 +386,22 @@ class Images(Frames):
         """Files of each camera, with its key."""
         return (("left", self.left), ("right", self.right)) if self.right else (("left", self.left),)
 
+    @property
+    def displaced(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:
+        """Files of the displaced body of each camera, with its key; none without any."""
+        both = (("displaced_left", self.displaced_left), ("displaced_right", self.displaced_right))
+        return both[: len(self.cameras)] if self.displaced_left else ()
+
     @model_validator(mode="after")
     def _as_many_left_as_right(self) -> Self:
         left, right = len(self.left), len(self.right)
+        if len(self.displaced_right) != (len(self.displaced_left) if self.right else 0):
+            raise refusal(
+                "as many images of the displaced body left as right",
+                f"{len(self.displaced_left)} left and {len(self.displaced_right)} right",
+                key="displaced_right",
+                declared=FRAMES_DO_NOT_MATCH,
+            )
         runs = self.first_edge if isinstance(self.first_edge, dict) else {}
         if "right" in runs and not self.right and set(runs) != {"left", "right"}:
             raise refusal("no right camera", "one", key="first_edge", declared=CONTRADICTING_VALUES)

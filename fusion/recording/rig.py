@@ -439,8 +439,8 @@ class Stereo(ManifestBlock):
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
     row_time: RowTime = (0.0, 0.0)
     row_time_uncertainty: Annotated[NotNegative, ROWS] = 0.0
-    left: SensorOfCamera = SensorOfCamera()
-    right: SensorOfCamera = SensorOfCamera()
+    left: SensorOfCamera | None = None
+    right: SensorOfCamera | None = None
 
     def readout_s(self, rows: int) -> float:
         """Return the delay from the first to the last of some rows, s."""

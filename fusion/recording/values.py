@@ -573,7 +573,7 @@ class SurfacePlane(ManifestBlock):
 
 
 class SensorOfCamera(ManifestBlock):
-    """The image sensor of one camera: images of its fixed pattern, or figures of its data sheet (EMVA 1288).
+    """The image sensor of one camera: images or figures of its fixed pattern.
 
     `dark`: lens covered. `flat`: an even, unsharp surface. `prnu`: relative. `dsnu`: share of full scale.
     """

@@ -131,6 +131,7 @@ DATASETS = _described(
         "usable": ("line", "1", "whether the camera rate resolves the line"),
         "subsets_px": ("subset coordinate", "", "position of the subsets in the first left image"),
         "sigma_px": ("of", "", "median standard deviation of a subset's coordinate: predicted, found"),
+        "prnu": ("camera value", "1", "relative rms of the pixels' gains by the fixed pattern, and its u"),
         "read_variance_grey2": ("camera", "1", "variance of the dark sensor in grey values squared"),
         "variance_per_grey": ("camera", "1", "variance per grey value"),
         "deflection/value": (

@@ -304,6 +304,9 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "read noise / grey values": lambda pair: noise(pair, "read_variance_grey2", 0.5),
         "electrons per grey value": lambda pair: noise(pair, "variance_per_grey", -1.0),
         "image noise / grey values": lambda pair: number(pair.noise_grey),
+        "fixed pattern, PRNU ± u / %": lambda pair: (
+            DASH if pair.prnu is None else ", ".join(f"{100.0 * size:.2f} ± {100.0 * u:.2f}" for size, u in pair.prnu)
+        ),
         "condition of the sine fit": lambda pair: number(pair.fit.condition),
         "resolved lines": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
     }

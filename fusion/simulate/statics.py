@@ -23,7 +23,8 @@ from fusion.simulate.world import Draws
 from fusion.simulate.write import RIG_FILE, TRUTH_FILE, write_recording
 from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.synthetic.board import Board, random_poses, random_rig, render_board
+from photogram.synthetic.board import random_poses, random_rig, render_board
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.target_view import Target
 from shaker.elastomer.frame import MODE_NAMES, block, solve_frame

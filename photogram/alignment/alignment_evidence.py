@@ -505,7 +505,7 @@ def measure_target_pose(
     change = np.zeros((6, steps.shape[1]))
     for side, view in enumerate((left, right)):
         if view is not None:
-            points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])
+            points = target.points_m(view.index)
             camera = rig.right if side else rig.left
             relative = rig.right_from_left if side else RigidTransform.identity()
             seen = model_pixels(camera, relative, pose, points, view.radius * target.spacing_m)

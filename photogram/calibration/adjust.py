@@ -202,10 +202,10 @@ class BundleNormalEquations:
         modes, drift = np.split(np.diagonal(every)[free:common], [common - free - self.drifts])
         return rig, np.concatenate([points.ravel(), modes]), drift, np.array(pose)
 
-    def reduced(self, damping: float = 0.0, without: int | None = None) -> ReducedEquations:
+    def reduced(self, damping: float = 0.0, without: Sequence[int] = ()) -> ReducedEquations:
         """Return the equations after elimination of the points, of all views except `without`."""
         common, points = len(self.prior), len(self.point_prior)
-        remaining = [view for view in range(len(self.matrix)) if view != without]
+        remaining = [view for view in range(len(self.matrix)) if view not in without]
         size = common + 6 * len(remaining)
         matrix, coupling = np.zeros((size, size)), np.zeros((points, size, 3))
         matrix[:common, :common] = self.matrix[remaining, :common, :common].sum(axis=0) + self.prior
@@ -353,7 +353,7 @@ _LEAST = 1e-9  # of the largest variance: smaller ones are rounding
 
 @dataclass(frozen=True, eq=False)
 class LeaveOneOut:
-    """Changes of a calibration when each view is left out in turn.
+    """Changes of a calibration when each view, or each pose, is left out.
 
     Attributes
     ----------
@@ -372,28 +372,66 @@ class LeaveOneOut:
     prediction_residuals: tuple[FloatArray, ...]
 
 
-def leave_views_out(adjusted: AdjustedBundle, images: Sequence[ImageObservations] = ()) -> LeaveOneOut:
-    """Return the fit without each of its views in turn.
+def leave_views_out(
+    adjusted: AdjustedBundle,
+    images: Sequence[ImageObservations] = (),
+    cluster: IntArray | None = None,
+    prior: RigPrior | None = None,
+) -> LeaveOneOut:
+    """Return the fit without each view in turn, or each cluster (V,) of views.
 
-    `images` are predicted, with the weights of the fit.
+    `images` are predicted, with the weights of the fit. A step of a wide lens may lead to where the lens has no image;
+    with a `prior`, the prediction is then that of an adjustment without the view. A point that has no image there
+    either has a residual as large as the image.
     """
     normal, bundle = adjusted.normal, adjusted.bundle
-    free = len(normal.parameter_index)
+    free, views = len(normal.parameter_index), len(bundle.poses)
+    cluster = np.arange(views) if cluster is None else cluster
     block = np.ix_(normal.parameter_index, normal.parameter_index)
     steps, drifts, expected = [], [], np.zeros_like(adjusted.covariance)
     prediction: list[FloatArray] = [np.empty((0, 2))] * len(images)
-    for view in range(len(bundle.poses)):
-        reduced = normal.reduced(without=view)
+    for group in np.unique(cluster):
+        without = np.flatnonzero(cluster == group).tolist()
+        reduced = normal.reduced(without=without)
         step, pose_steps = normal.spread(*reduced.solve())
         steps.append(step[: len(expected)])
         drifts.append(step[len(step) - normal.drifts :])
         expected[block] += reduced.covariance()[:free, :free] - adjusted.covariance[block]
-        members = [n for n, image in enumerate(images) if image.view == view]
+        members = [n for n, image in enumerate(images) if image.view in without]
         if members:
-            others = bundle.with_step(step, np.insert(pose_steps, view, 0.0, axis=0))
-            for n, residual in zip(members, predict_view(others, [images[n] for n in members]), strict=True):
-                prediction[n] = residual
+            every = np.zeros((views, 6))
+            every[np.setdiff1d(np.arange(views), without)] = pose_steps
+            left_out = [images[n] for n in members]
+            predicted = _predict(bundle.with_step(step, every), left_out)
+            if prior is not None and not all(np.isfinite(residual).all() for residual in predicted):
+                predicted = _predict(_adjusted_without(bundle, images, without, prior), left_out)
+            for n, residual in zip(members, predicted, strict=True):
+                size_px = (bundle.rig.right if images[n].side else bundle.rig.left).size_px
+                prediction[n] = np.where(np.isfinite(residual), residual, size_px)
     return LeaveOneOut(np.array(steps), np.array(drifts), expected, tuple(prediction))
+
+
+def _predict(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
+    """Return the residuals (N, 2) of some views' images with only the poses fitted."""
+    predicted: dict[int, FloatArray] = {}
+    for view in {image.view for image in images}:
+        mine = [n for n, image in enumerate(images) if image.view == view]
+        predicted.update(zip(mine, predict_view(bundle, [images[n] for n in mine]), strict=True))
+    return [predicted[n] for n in range(len(images))]
+
+
+def _adjusted_without(
+    bundle: Bundle, images: Sequence[ImageObservations], without: Sequence[int], prior: RigPrior
+) -> Bundle:
+    """Return the bundle adjusted to the other views; itself if this does not converge."""
+    number = {view: row for row, view in enumerate(view for view in range(len(bundle.poses)) if view not in without)}
+    others = [replace(image, view=number[image.view]) for image in images if image.view in number]
+    try:
+        found = adjust(bundle.of_views(list(number)), others, prior, near=True).bundle
+    except ValueError:
+        return bundle
+    drift = None if bundle.drift is None or found.drift is None else replace(bundle.drift, value=found.drift.value)
+    return replace(bundle, rig=found.rig, shape=found.shape, drift=drift)
 
 
 def drift_uncertainty(adjusted: AdjustedBundle, left_out: LeaveOneOut, factor: float) -> FloatArray:
@@ -446,13 +484,12 @@ def stated_covariance(covariance: FloatArray, left_out: LeaveOneOut, factor: flo
 
 
 def split_half(
-    adjusted: AdjustedBundle, images: Sequence[ImageObservations], prior: RigPrior
+    adjusted: AdjustedBundle, images: Sequence[ImageObservations], prior: RigPrior, cluster: IntArray
 ) -> tuple[StereoRig, StereoRig]:
-    """Return the rigs of every second view and of the others."""
-    bundle = adjusted.bundle
-    views, rigs = len(bundle.poses), []
+    """Return the rigs of every second cluster of views and of the others."""
+    rigs = []
     for first in (0, 1):
-        number = {view: row for row, view in enumerate(range(first, views, 2))}
+        number = {view: row for row, view in enumerate(np.flatnonzero(cluster % 2 == first).tolist())}
         half = [replace(image, view=number[image.view]) for image in images if image.view in number]
-        rigs.append(adjust(bundle.of_views(list(number)), half, prior, near=True).bundle.rig)
+        rigs.append(adjust(adjusted.bundle.of_views(list(number)), half, prior, near=True).bundle.rig)
     return rigs[0], rigs[1]

@@ -10,6 +10,7 @@ import numpy as np
 
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.targets.target_view import Target
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 
 _OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # indices of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
@@ -261,7 +262,7 @@ class TargetGeometry(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3
         return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 
-def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeometry:
+def make_shape(kind: ShapeKind, index: IntArray, target: Target) -> TargetGeometry:
     """Return the initial geometry of the lattice points `index` (P, 2).
 
     `bowed`: height as a quadratic form of the position on the target. `free`: every point has an offset, with one
@@ -269,7 +270,7 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeom
     lattice within that spread (Strobl and Hirzinger 2011, ICCV Workshops, 1068). Printers stretch one axis and shear,
     so these two modes have a separate rms displacement, three times that of single points.
     """
-    flat = np.column_stack([index * spacing_m, np.zeros(len(index))])
+    flat = target.points_m(index)
     points = len(index)
     if kind == "flat":
         return TargetGeometry(
@@ -286,7 +287,7 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeom
     modes = np.zeros((points, 3, 2))
     modes[:, :2, 0], modes[:, :2, 1] = lattice * [1, -1], lattice[:, ::-1]  # stretch, shear
     group = np.array([*np.tile([0, 0, 1], points), 2, 2])
-    prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * spacing_m
+    prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * target.spacing_m
     return TargetGeometry(
         index, flat, modes / np.sqrt((lattice**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True
     )

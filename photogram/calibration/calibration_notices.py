@@ -39,7 +39,8 @@ ASPECT_RATIO = DeclaredNotice(
     "warning",
     "The ratio of {side}.fx to {side}.fy is {ratio:.4f} with U = {expanded:.4f} (k = 2).",
     effect="A sensor with square pixels has the ratio 1.",
-    remedy="Check for a print stretched along one axis, too few tilted views, or images scaled in one direction.",
+    remedy="Check for a print stretched along one axis, too few tilted views, or images scaled in one direction. A "
+    "tilted sensor (Scheimpflug) needs no remedy.",
     link="cameras.md#how-it-is-calculated",
 )
 FOCAL_DRIFT = DeclaredNotice(
@@ -177,6 +178,14 @@ UNCERTAINTIES_MISSING = DeclaredNotice(
     remedy="State `scale_uncertainty` under `[stereo.NAME]` in rig.toml.",
     link="cameras.md#calibrations-of-other-programs",
 )
+ARBITRARY_SCALE = DeclaredNotice(
+    "SC-240",
+    "warning",
+    "The lengths of {program} are in an arbitrary unit unless its model was scaled.",
+    effect="All positions and motions scale with it.",
+    remedy="Scale the model by a measured length there, and state `scale_uncertainty` under `[stereo.NAME]`.",
+    link="cameras.md#calibrations-of-other-programs",
+)
 UNUSUAL_DISTANCE = DeclaredNotice(
     "SC-272",
     "warning",
@@ -188,15 +197,17 @@ UNUSUAL_DISTANCE = DeclaredNotice(
 APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-273",
     "note",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     link="cameras.md#calibrations-of-other-programs",
 )
 POORLY_APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-274",
     "warning",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     effect="This systematic difference is not included in U.",
-    remedy="Calibrate with a camera model that both programs have.",
+    remedy="Calibrate with a camera model that both programs have, or add the difference to `scale_uncertainty`.",
     link="cameras.md#calibrations-of-other-programs",
 )
 CENTRE_OUTSIDE_IMAGE = DeclaredNotice(
@@ -238,4 +249,20 @@ CONTRADICTORY_EVIDENCE = DeclaredNotice(
     effect="The uncertainties of the pose are enlarged by {enlargement:.2g}.",
     remedy="Check this piece of evidence and its stated uncertainty.",
     link="cameras.md#uncertainty",
+)
+REPEATED_POSES = DeclaredNotice(
+    "SC-298",
+    "note",
+    "{views} views show {poses} different poses of the target.",
+    effect="Images of one pose share errors. Uncertainties and tests count them as one view.",
+    remedy="Move and tilt the target between the images.",
+    link="cameras.md#how-a-good-session-looks",
+)
+COPIED_IMAGES = DeclaredNotice(
+    "SC-299",
+    "warning",
+    "{count} images are copies of others, such as {first}.",
+    effect="Each image is counted once.",
+    remedy="Remove the copies, and check that the camera stored every exposure.",
+    link="cameras.md#how-a-good-session-looks",
 )

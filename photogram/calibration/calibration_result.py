@@ -10,6 +10,7 @@ import numpy as np
 
 from photogram.calibration.calibration_notices import (
     ASPECT_RATIO,
+    COPIED_IMAGES,
     EXCESS_NOISE,
     FEW_VIEWS,
     FOCAL_DRIFT,
@@ -20,6 +21,7 @@ from photogram.calibration.calibration_notices import (
     MODEL_DIFFERENCE,
     PARAMETERS_INDISTINCT,
     PARAMETERS_UNDETERMINED,
+    REPEATED_POSES,
     SPACING_UNCERTAINTY_UNSTATED,
     TARGET_DEVIATION,
     UNCERTAIN_FOCAL_LENGTH,
@@ -76,24 +78,27 @@ class CalibratedView(Arrays, shapes="covariance 6 6"):
     """One pose of the target, `left_from_target`, with covariance and the images of both cameras.
 
     The covariance (6, 6) is that of translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
+    `pose` is the number of the pose, the same for views of nearly one pose; None if every view has its own.
     """
 
     left_from_target: RigidTransform
     covariance: FloatArray
     left: CalibratedImage | None
     right: CalibratedImage | None
+    pose: int | None = None
 
 
 @dataclass(frozen=True)
 class Rejection:
     """An image, or points of one, rejected from the fit, with the reason.
 
-    `points` is 0 for a whole image.
+    `points` is 0 for a whole image; `copy`: it is a copy of another.
     """
 
     name: str
     points: int
     reason: str
+    copy: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +177,12 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     def single(self) -> bool:
         """Whether it is of the left camera alone."""
         return all(view.right is None for view in self.views)
+
+    def pose_count(self, complete: bool = False) -> int:
+        """Return the number of different poses; `complete`: of those that both cameras see."""
+        views = [view for view in self.views if not complete or (view.left is not None and view.right is not None)]
+        alone = sum(view.pose is None for view in views)
+        return alone + len({view.pose for view in views if view.pose is not None})
 
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells for the coverage
@@ -263,11 +274,16 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
 
 def _view_notices(calibration: Calibration) -> Iterator[Notice]:
     """Yield notices of number, tilt and coverage of the views."""
-    pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
-    if pairs < _MANY_VIEWS:
-        yield Notice(
-            FEW_VIEWS, "views", count=pairs, kind="views" if calibration.single else "pairs", least=_MANY_VIEWS
-        )
+    copies = [item.name for item in calibration.rejections if item.copy]
+    if copies:
+        yield Notice(COPIED_IMAGES, "images", count=len(copies), first=copies[0])
+    views, poses = len(calibration.views), calibration.pose_count()
+    if poses < views:
+        yield Notice(REPEATED_POSES, "views", views=views, poses=poses)
+    complete = poses if calibration.single else calibration.pose_count(complete=True)
+    if complete < _MANY_VIEWS:
+        kind = ("views" if calibration.single else "pairs") + (" of different poses" if poses < views else "")
+        yield Notice(FEW_VIEWS, "views", count=complete, kind=kind, least=_MANY_VIEWS)
     spread, axes = tilt_spread([view.left_from_target for view in calibration.views])
     if spread[0] < _LOW_TILT_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
@@ -291,8 +307,7 @@ def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
 
 def _target_notices(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of the target's deviation from its lattice."""
-    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
-    off = calibration.shape_m - flat
+    off = calibration.shape_m - calibration.target.points_m(calibration.shape_index)
     if off.any():
         rms = 1e6 * np.sqrt((off**2).mean(axis=0))
         digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two digits of the largest

@@ -33,20 +33,28 @@ from photogram.calibration.calibration_result import (
     rig_parameters,
     session_notices,
 )
-from photogram.calibration.initial_bundle import LensKind, ViewPair, image_observations, lens_prior, start_bundle
+from photogram.calibration.initial_bundle import (
+    FEWEST_VIEWS,
+    START_NOISE_PX,
+    LensKind,
+    ViewPair,
+    image_observations,
+    lens_prior,
+    start_bundle,
+)
+from photogram.calibration.view_clusters import pose_clusters, reject_copies, repeated_variance
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
-from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 
 _ROUNDS = 12  # limit of the rounds; some four are usual
-_START_NOISE_PX = 0.2  # noise added to that of every point in the first round
 _REJECTED = 25.0  # squared distance of an outlier, in standard deviations
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
 _REJECTED_SHARE = 0.3  # share of rejected points beyond which the whole image is rejected
 _SCATTER = 5.0  # times the upper quartile of the images' scatter, beyond which an image is rejected
 _WORTH = 1.0  # added variance over that of the points above which other models are tried
-_VIEWS_FOR_MORE = 5  # least number of views for a comparison of models
-_VIEWS_TO_HALVE = 8  # least number of views for two halves
+_VIEWS_FOR_MORE = 5  # least number of poses for a comparison of models
+_VIEWS_TO_HALVE = 8  # least number of poses for two halves
 _CHANCE = 0.01  # level of the test for a drift
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 _SETTLED_SPREAD = 0.1  # and of the spread of free points, which converges slowly if it is small
@@ -104,10 +112,11 @@ def calibrate_pair(
     True
     """
     single = all(right is None for _, right in pairs)
+    pairs, copies = reject_copies(pairs)
     first = _Model("flat" if shape == "auto" else shape, "polynomial" if lens == "auto" else lens, single)
     best = _calibrated(pairs, target, first)
     others: list[_Fit] = []
-    if best.unexplained > _WORTH and len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE:
+    if best.unexplained > _WORTH and best.session.poses >= _VIEWS_FOR_MORE:
         for step in ("free", "rational", "free", "flat"):
             model = best.model
             if step in ("free", "flat") and shape == "auto":
@@ -123,9 +132,9 @@ def calibrate_pair(
             better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
             others.append(best if better else tried)
             best = tried if better else best
-    if len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE and _drifting(best):
+    if best.session.poses >= _VIEWS_FOR_MORE and _drifting(best):
         best = _calibrated(pairs, target, replace(best.model, drifts=True))
-    return _result(best, others, target, scale_u)
+    return _result(replace(best, dropped=(*copies, *best.dropped)), others, target, scale_u)
 
 
 @dataclass(frozen=True)
@@ -156,7 +165,8 @@ def _calibrated(pairs: Sequence[ViewPair], target: Target, model: _Model) -> _Fi
         bad = _bad_images(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
-            left_out = leave_views_out(fit.adjusted, fit.session.weighted())
+            prior = model.prior(fit.rig)
+            left_out = leave_views_out(fit.adjusted, fit.session.weighted(), fit.session.cluster, prior)
             return replace(fit, dropped=dropped, left_out=left_out)
         names = [None, *(item.name for item in bad)]
         remaining = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
@@ -171,20 +181,20 @@ def _drifting(fit: _Fit) -> bool:
     start = replace(fit.adjusted.bundle, drift=FocalDrift.initial(len(fit.adjusted.bundle.poses)))
     adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig), near=True)
     assert adjusted.bundle.drift is not None
-    u = drift_uncertainty(adjusted, leave_views_out(adjusted), fit.factor)
+    u = drift_uncertainty(adjusted, leave_views_out(adjusted, (), fit.session.cluster), fit.factor)
     t = float((np.abs(adjusted.bundle.drift.value) / u).max())
     if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger; SciPy is not needed
         return False
     from scipy.special import stdtrit
 
-    return bool(t > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4))
+    return bool(t > stdtrit(fit.session.poses - 1, 1 - _CHANCE / 4))
 
 
 def _predicts_better(fit: _Fit, other: _Fit) -> bool:
     """Return whether this fit predicts left-out views significantly better than the other.
 
     The criterion is the logarithm of the ratio of the residuals' mean squares, for the points used in both fits. Its
-    mean over the views has to be below minus its standard uncertainty.
+    mean over the poses has to be below minus its standard uncertainty.
     """
     theirs = dict(zip((view.name for view in other.session.views), other.predictions, strict=True))
     squares: dict[int, list[FloatArray]] = {}
@@ -192,7 +202,7 @@ def _predicts_better(fit: _Fit, other: _Fit) -> bool:
         if view.name in theirs:
             both = used & theirs[view.name][1]
             pair = [(residual[both] ** 2).sum(axis=1) for residual in (residual_first, theirs[view.name][0])]
-            squares.setdefault(image.view, []).append(np.array(pair))
+            squares.setdefault(int(fit.session.cluster[image.view]), []).append(np.array(pair))
     sums = [np.concatenate(parts, axis=1).sum(axis=1) for parts in squares.values()]
     ratio = np.log([squares_first / their for squares_first, their in sums if squares_first > 0 and their > 0])
     return len(ratio) > 1 and bool(ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio)))
@@ -200,12 +210,23 @@ def _predicts_better(fit: _Fit, other: _Fit) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Session:
-    """The images with the points (N,) used and the added noise (left, right)."""
+    """The images with the points (N,) used and the added noise (left, right).
+
+    `cluster` (V,): number of the pose that each view shows. `repeated_px2` (I,): variance added to each image as one of
+    several of its pose.
+    """
 
     views: tuple[TargetView, ...]
     images: tuple[ImageObservations, ...]
     used: tuple[BoolArray, ...]
     added_px: tuple[float, float]
+    cluster: IntArray
+    repeated_px2: FloatArray
+
+    @property
+    def poses(self) -> int:
+        """Number of different poses."""
+        return int(self.cluster.max()) + 1
 
     @staticmethod
     def of(bundle: Bundle, pairs: Sequence[ViewPair], target: Target) -> _Session:
@@ -219,21 +240,42 @@ class _Session:
                     views.append(same)
                     images.append(image_observations(same, number, side, bundle.shape.index, target.spacing_m))
         used = tuple(np.ones(len(view.index), np.bool_) for view in views)
-        return _Session(tuple(views), tuple(images), used, (_START_NOISE_PX, _START_NOISE_PX))
+        start, cluster = (START_NOISE_PX, START_NOISE_PX), pose_clusters(bundle)
+        if cluster.max() + 1 < FEWEST_VIEWS:
+            raise ValueError(
+                f"the {len(cluster)} views show {cluster.max() + 1} different poses of the target, at least "
+                f"{FEWEST_VIEWS} are needed"
+            )
+        return _Session(tuple(views), tuple(images), used, start, cluster, np.zeros(len(images)))
 
-    def weighted(self, every: bool = False) -> tuple[ImageObservations, ...]:
-        """Return the images weighted for this round, rejected points by 0 unless `every`."""
+    def weighted(self, alone: bool = False) -> tuple[ImageObservations, ...]:
+        """Return the images weighted for this round, rejected points by 0.
+
+        `alone`: with the precision of each without the others of its pose, also of rejected points.
+        """
         weighted = []
-        for view, image, used in zip(self.views, self.images, self.used, strict=True):
-            total = view.covariance_px2 + self.added_px[image.side] ** 2 * np.eye(2)
-            precision = np.asarray(np.linalg.inv(total), dtype=np.float64)
-            weighted.append(replace(image, precision=precision * (used | every)[:, None, None]))
+        for view, image, used, more in zip(self.views, self.images, self.used, self.repeated_px2, strict=True):
+            added = self.added_px[image.side] ** 2 + (0.0 if alone else more)
+            precision = np.asarray(np.linalg.inv(view.covariance_px2 + added * np.eye(2)), dtype=np.float64)
+            weighted.append(replace(image, precision=precision * (used | alone)[:, None, None]))
         return tuple(weighted)
+
+    def repetition(self) -> float:
+        """Return how many images determine as much as one pose, averaged over the points."""
+        every, effective = 0.0, 0.0
+        for view, image, used, more in zip(self.views, self.images, self.used, self.repeated_px2, strict=True):
+            alone = float(np.einsum("nii->n", view.covariance_px2).mean()) / 2 + self.added_px[image.side] ** 2
+            every += float(used.sum())
+            effective += float(used.sum()) * alone / (alone + more)
+        return every / effective
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Converged fit with residuals (N, 2) and whitened squares (N,) of every point."""
+    """Converged fit with residuals (N, 2) and whitened squares (N,) of every point.
+
+    `parameters`: effective number of those of rig, drift and target geometry.
+    """
 
     session: _Session
     adjusted: AdjustedBundle
@@ -241,6 +283,7 @@ class _Fit:
     residuals: tuple[FloatArray, ...]
     squares: tuple[FloatArray, ...]
     dof: float
+    parameters: float
     dropped: tuple[Rejection, ...] = ()
     left_out: LeaveOneOut | None = None
 
@@ -302,7 +345,8 @@ def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
         same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
         change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
         spread = np.abs(shape.prior_m / bundle.shape.prior_m - 1)
-        if same and (change < _SETTLED).all() and (spread < _SETTLED_SPREAD).all():
+        weight = np.abs(after.repetition() / session.repetition() - 1)
+        if same and max(*change, weight) < _SETTLED and (spread < _SETTLED_SPREAD).all():
             return fit
         bundle, session = replace(bundle, shape=shape), after
     return _fit(bundle, session, model, near=True)
@@ -311,7 +355,7 @@ def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
 def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     """Adjust once with the session's weights."""
     adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig), near)
-    images = session.weighted(every=True)
+    images = session.weighted(alone=True)
     differences = residuals(adjusted.bundle, images)
     both = zip(differences, images, strict=True)
     squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
@@ -320,11 +364,12 @@ def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m, drift])
     variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance, adjusted.drift_variance])
     determined = variance[prior > 0] / prior[prior > 0] ** 2
-    parameters = float(np.sum(1 - determined)) + 6 * len(adjusted.bundle.poses)
-    dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
+    parameters = float(np.sum(1 - determined))
+    coordinates = 2 * sum(int(used.sum()) for used in session.used)
+    dof = coordinates - parameters * session.repetition() - 6 * len(adjusted.bundle.poses)
     if dof < 1:
         raise ValueError("the images have fewer points than a calibration has unknowns; add views")
-    return _Fit(session, adjusted, model, tuple(differences), squares, dof)
+    return _Fit(session, adjusted, model, tuple(differences), squares, dof, parameters)
 
 
 def _select_points(fit: _Fit) -> _Session:
@@ -345,8 +390,9 @@ def _select_points(fit: _Fit) -> _Session:
         length2 = np.concatenate([(fit.residuals[n][session.used[n]] ** 2).sum(axis=1) for n in mine])
         variance = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
         added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(variance) / 2, 0.0))))
-    anew = replace(session, added_px=(added[0], added[1]))
-    precision = [image.precision for image in anew.weighted(every=True)]
+    repeated = repeated_variance(session.cluster, session.images, fit.residuals, session.used, fit.parameters)
+    anew = replace(session, added_px=(added[0], added[1]), repeated_px2=repeated)
+    precision = [image.precision for image in anew.weighted(alone=True)]
     squares = [np.einsum("ni,nij,nj->n", r, p, r) for r, p in zip(fit.residuals, precision, strict=True)]
     scale = max(1.0, float(np.median(np.concatenate(squares))) / _MEDIAN_CHI2)
     limits = [_REJECTED * max(scale, float(np.median(square)) / _MEDIAN_CHI2) for square in squares]
@@ -391,7 +437,8 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
     views = []
     for number, pose in enumerate(bundle.poses):
         sides = {p.side: seen for p, seen in zip(session.images, images, strict=True) if p.view == number}
-        views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
+        covariance = fit.adjusted.pose_covariance[number] * factor
+        views.append(CalibratedView(pose, covariance, sides.get(0), sides.get(1), int(session.cluster[number])))
     by_side = [[seen for p, seen in zip(session.images, images, strict=True) if p.side == s] for s in (0, 1)]
     off, off_left, off_right = ([(seen.residual_px, seen.used) for seen in each] for each in (images, *by_side))
     parameters = rig_parameters(rig, prior.sigma)
@@ -423,7 +470,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
 
 def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValidation:
     """Return the cross-validation of the views and of alternative models."""
-    enough = len(fit.adjusted.bundle.poses) >= _VIEWS_TO_HALVE
+    session, enough = fit.session, fit.session.poses >= _VIEWS_TO_HALVE
     u_fit = np.sqrt(np.diagonal(fit.adjusted.covariance) * fit.factor)
     tried = [
         AlternativeModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _rms(other.predictions))
@@ -434,7 +481,7 @@ def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValid
         fit.model.lens,
         _rms(fit.predictions),
         u_fit,
-        split_half(fit.adjusted, fit.session.weighted(), prior) if enough else None,
+        split_half(fit.adjusted, session.weighted(), prior, session.cluster) if enough else None,
         tuple(tried),
         fit.drift,
     )

@@ -216,9 +216,9 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return grey value f and normalised squared residual (P,) of every pixel.
+    """Return grey value f and normalised residual (P,) of every pixel.
 
-    (g − a − b·f)²/(κ_g + b²). a and b are fitted per cell.
+    (g − a − b·f)/√(κ_g + b²). a and b are fitted per cell.
     """
     grey = np.full(cells.pixels.shape[1], np.nan, np.float32)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
@@ -233,8 +233,8 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
     gain = np.bincount(cell, used * filled * centred, count) / np.where(cells.energy > 0, cells.energy, 1.0)
     share = _interpolated_noise(cells, warp, target.degree) + gain**2
     residual = filled - offset[cell] - gain[cell] * centred
-    squares = residual**2 / share[cell] * (cells.count / np.maximum(cells.count - 2, 1))[cell]
-    return centred + cells.mean[cell], np.where(valid, squares, np.nan)
+    scale = np.sqrt(cells.count / np.maximum(cells.count - 2, 1) / share)
+    return centred + cells.mean[cell], np.where(valid, residual * scale[cell], np.nan)
 
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:

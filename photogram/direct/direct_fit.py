@@ -23,20 +23,21 @@ from photogram.direct.cells import (
     select_cells,
 )
 from photogram.direct.surface import (
+    AT_REST,
     Patches,
     PlacedCamera,
     Shapes,
     body_patches,
     patch_rates,
     patch_warps,
-    shape_rates,
     warps_of_points,
 )
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
-from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
+from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model, noise_notices
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
+from shakercal._common.notices import Notice
 
 REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
 MAX_STEPS = 12  # Gauss-Newton steps; usually two or three are needed
@@ -50,6 +51,9 @@ REJECT_CHI2 = 25.0  # squared remaining shift over its variance above which a ce
 MIN_CELLS = 4  # three determine six components, without a check
 MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
 MIN_EIGENVALUE_SHARE = 1e-2  # share of the smallest eigenvalue that remains without the noise part, at least
+MAX_TURN = 0.05
+"""Rotation, or displacement over the distance, of a body from the motion of its rates, up to which these are used. A
+step along the line of sight then errs by half of its square, 0.12 %."""
 MIN_MISFIT_RATIO = 1e-12  # misfit over the expected one, for images without noise
 
 
@@ -60,12 +64,13 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     Attributes
     ----------
     rates : (C, 6, p) derivatives of the affine warps with respect to the p parameters: six components of motion and
-        p - 6 amplitudes of shapes.
+        p - 6 amplitudes of shapes. They are those near the motion `rates_at`.
     information : (C, p, p) information of each cell about the parameters, for unit gain.
     information_noise : (C, p, p) contribution of the reference's noise to `information`.
     inverse_shift_hessian : (C, 2, 2) inverse Hessian of the cell's shift, NaN if singular.
     added_motion : rotations (C, 5, 3, 3) and shifts (C, 5, 3) of the patches' points in one frame, applied after the
         motion of the body; None if the points only move with the body.
+    shapes : of the body's deformation, None for none.
     """
 
     camera: PlacedCamera
@@ -76,6 +81,32 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     information_noise: FloatArray
     inverse_shift_hessian: FloatArray
     added_motion: tuple[FloatArray, FloatArray] | None = None
+    shapes: Shapes | None = None
+    rates_at: RigidTransform = AT_REST
+
+    @cached_property
+    def middle(self) -> tuple[FloatArray, float]:
+        """The middle (3,) of the patches at rest, and its depth in the camera."""
+        middle = np.nanmean(self.patches.points_m[:, 0], axis=0)
+        return middle, float(self.camera.camera_from_body.apply(middle)[2])
+
+    def is_near(self, moved: RigidTransform) -> bool:
+        """Return whether the rates apply to a motion."""
+        turn = 3.0 - float(np.sum(moved.rotation * self.rates_at.rotation))  # 2 - 2·cos of the angle
+        middle, depth = self.middle
+        shift = moved.apply(middle) - self.rates_at.apply(middle)
+        return turn < MAX_TURN**2 and float(shift @ shift) < (MAX_TURN * depth) ** 2
+
+    def near(self, moved: RigidTransform) -> BodyView:
+        """Return the view with rates that apply near a motion.
+
+        A point that leaves the surface is displaced in the image by its parallax, which turns with the body.
+        """
+        if self.is_near(moved):
+            return self
+        rates = patch_rates(self.camera, self.patches, self.shapes, moved)
+        view = with_jacobians(self.camera, self.cells, self.patches, rates, self.shapes)
+        return replace(view, added_motion=self.added_motion, rates_at=moved)
 
     @cached_property
     def rounding(self) -> FloatArray:
@@ -142,10 +173,7 @@ def view_body(
     spline, area, full_scale = image
     cells = prepare_cells(spline, area, side_px, noise, full_scale)
     patches = body_patches(camera, surface_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
-    rates = patch_rates(camera, patches)
-    if shapes is not None:
-        rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
-    return with_jacobians(camera, cells, patches, rates)
+    return with_jacobians(camera, cells, patches, patch_rates(camera, patches, shapes), shapes)
 
 
 def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
@@ -153,10 +181,17 @@ def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
 
     `degree`: degree of the spline of its image.
     """
-    return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
+    return with_cells(view, reweight_cells(view.cells, noise, degree))
 
 
-def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
+def with_cells(view: BodyView, cells: Cells) -> BodyView:
+    """Return the view with other pixels in the same cells."""
+    return with_jacobians(view.camera, cells, view.patches, view.rates, view.shapes)
+
+
+def with_jacobians(
+    camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray, shapes: Shapes | None = None
+) -> BodyView:
     """Return a view with the information of its cells, rates zero where undefined."""
     finite = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
     rates = np.where(finite[:, None, None], rates, 0.0)
@@ -166,15 +201,21 @@ def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: 
     shift = np.where(solvable[:, None, None], shift, np.eye(2))
     return BodyView(
         camera, cells, patches, rates, transposed @ cells.hessian @ rates, transposed @ cells.hessian_noise @ rates,
-        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan),
+        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan), shapes=shapes,
     )  # fmt: skip
 
 
-def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
-    """Return the noise model that explains the residuals of one frame after the motion `moved`."""
-    grey, squares = pixel_residuals(view.cells, target, view.warps(moved))
-    finite = np.isfinite(squares)
-    return fit_noise_model(grey[finite], squares[finite])
+def image_noise(
+    view: BodyView, target: Spline, moved: RigidTransform, where: str
+) -> tuple[NoiseModel, tuple[Notice, ...]]:
+    """Return the noise model that explains the residuals of one frame after the motion `moved`.
+
+    With it, the notices of noise that contradicts it in the camera `where`.
+    """
+    grey, residual = pixel_residuals(view.cells, target, view.warps(moved))
+    finite = np.isfinite(residual)
+    grey, residual, row = grey[finite], residual[finite], pixel_coordinates(view.cells.runs)[finite, 1]
+    return fit_noise_model(grey, residual**2), tuple(noise_notices(grey, residual, row.astype(np.int64), where))
 
 
 def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
@@ -185,10 +226,10 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     each cell are eliminated.
 
     The method is inverse-compositional Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with
-    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable
-    share, which H′ excludes. A third of that share of a step may remain, and iteration ends when this is below 0.02
-    standard uncertainties. Cells with more than three times the median misfit are rejected. So are cells whose
-    remaining shift exceeds five scaled standard deviations.
+    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps, renewed where the body turns (`BodyView.near`). The reference's noise
+    makes H = Σ b²·Bᵀ·H·B too large by a computable share, which H′ excludes. A third of that share of a step may
+    remain, and iteration ends when this is below 0.02 standard uncertainties. Cells with more than three times the
+    median misfit are rejected. So are cells whose remaining shift exceeds five scaled standard deviations.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less the contribution of the reference's noise, and s² the misfit per
     expected misfit of the pixels used, at least that of rounding: a frame equal to the reference has no misfit. It is
@@ -199,6 +240,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     """
     moved = start
     for _ in range(MAX_STEPS):
+        views = views_near(views, moved)
         step = _step(views, targets, moved)
         if step is None:
             return None
@@ -206,6 +248,11 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         if step.final:
             return direct_fit(moved, step)
     return None
+
+
+def views_near(views: Sequence[BodyView], moved: RigidTransform) -> tuple[BodyView, ...]:
+    """Return the views with rates that apply near a motion."""
+    return tuple(view.near(moved) for view in views)
 
 
 def direct_fit(moved: RigidTransform, step: FitStep) -> DirectFit:
@@ -228,6 +275,7 @@ def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     """
     moved = start
     for _ in range(COARSE_STEPS):
+        views = views_near(views, moved)
         step = _step(views, targets, moved)
         if step is None:
             return None
@@ -244,23 +292,11 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
         which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / DECIMATION))
         if len(which) < MIN_DECIMATED:
             return ()
-        patches = view.patches
-        some.append(
-            BodyView(
-                view.camera,
-                select_cells(view.cells, which),
-                replace(
-                    patches,
-                    centre_px=patches.centre_px[which],
-                    points_m=patches.points_m[which],
-                    rest_px=patches.rest_px[which],
-                ),
-                *(
-                    getattr(view, name)[which]
-                    for name in ("rates", "information", "information_noise", "inverse_shift_hessian")
-                ),
-            )
-        )
+        chosen = {name: getattr(view.patches, name)[which] for name in ("centre_px", "points_m", "rest_px")}
+        per_cell = ("rates", "information", "information_noise", "inverse_shift_hessian")
+        parts = {name: getattr(view, name)[which] for name in per_cell}
+        cells = select_cells(view.cells, which)
+        some.append(replace(view, cells=cells, patches=replace(view.patches, **chosen), **parts))
     return tuple(some)
 
 
@@ -369,7 +405,7 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
 def _view_residuals(
     xp: Any, view: Any, cells: CellSums, used: Any, totals: CellTotals, step: tuple[Any, Any]
 ) -> ViewResiduals:
-    """Return the residuals of a view after a step (A, 6) at a noise ratio (A,)."""
+    """Return the residuals of a view after a step (A, 6) and noise ratio (A,)."""
     pose, ratio = step
     gain = xp.where(used, cells.gain, 0.0)
     slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)

@@ -110,7 +110,8 @@ def fit_frames(
     """Return the result of `fit_direct` for each of F frames, all at once.
 
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
-    they converge; only motions, covariances and sums are copied back.
+    they converge; only motions, covariances and sums are copied back. None also for a motion to which the rates of the
+    views do not apply (`BodyView.is_near`).
     """
     device = views[0].centre_px.device
     rotation = torch.from_numpy(rotation_from_vector(starts[:, 3:])).to(device)
@@ -154,6 +155,8 @@ def fit_frames(
     amplitudes, of_shapes = estimate_shape_amplitudes(steps, gradients, (whole[0], whole[1]), level)
     for k, f in enumerate(fitted):
         moved = RigidTransform(turns[f], shifts[f])
+        if not all(view.source.is_near(moved) for view in views):
+            continue
         rest = (part[f] for part in residuals)
         fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k], *rest)
     return fits

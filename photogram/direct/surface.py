@@ -19,6 +19,7 @@ from shakercal._common.propagation import derivatives
 NEIGHBOURS = 24  # points of a local plane: two rings of a square grid
 OUTLIER = 4.0  # robust standard deviations from the local plane
 RATE_STEP = 1e-6  # m and rad, of the derivative by the six components
+MIN_TRACE = 2.99  # of a rotation by 0.1 rad, up to which derivatives at rest suffice for a start value
 NEAR_PX = 0.02  # by which the last step of a start value may move a point
 AT_REST = RigidTransform.identity()
 
@@ -126,12 +127,34 @@ def _warps(points, pose, camera, rest, warps):  # type: ignore[no-untyped-def]
             warps[c, 3 * i + 2] = (shift[3, i] - shift[4, i]) / (2 * arm_px)
 
 
-def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
-    """Return the derivatives (C,6,6) of the patches' warps by the six components.
+def patch_rates(
+    camera: PlacedCamera, patches: Patches, shapes: Shapes | None = None, moved: RigidTransform = AT_REST
+) -> FloatArray:
+    """Return the derivatives (C, 6, 6 + S) of the patches' warps.
 
-    x y z (m) and rx ry rz (rad), at rest.
+    They are by x y z (m) and rx ry rz (rad) of a motion δ that precedes `moved`, and by S amplitudes of shapes. The
+    warp of both is that of `moved` after the one that the derivatives describe, W(moved·δ) = W(moved)∘(1 + rates·δ), so
+    that they compare at any motion with the derivatives of the reference image. With A, the linear part of W(moved),
+    they are A⁻¹·∂W(moved·δ)/∂δ.
     """
-    return derivatives(lambda pose: patch_warps(camera, patches, RigidTransform.from_pose(pose)), np.full(6, RATE_STEP))
+    rates = derivatives(
+        lambda pose: patch_warps(camera, patches, moved @ RigidTransform.from_pose(pose)), np.full(6, RATE_STEP)
+    )
+    if shapes is not None:
+        shape = shapes(patches.points_m.reshape(-1, 3))
+        shape_m = shape.reshape(len(shape), *patches.points_m.shape)
+
+        def warps(amplitude: FloatArray) -> FloatArray:
+            return warps_of_points(camera, patches, patches.points_m + np.tensordot(amplitude, shape_m, 1), moved)
+
+        rates = np.concatenate([rates, derivatives(warps, np.full(len(shape), RATE_STEP))], axis=2)
+    if moved is AT_REST:
+        return rates
+    warp = patch_warps(camera, patches, moved).reshape(-1, 2, 3)
+    known = np.array(np.isfinite(warp).all(axis=(1, 2)))
+    linear = np.where(known[:, None, None], np.eye(2) + warp[:, :, 1:], np.eye(2))
+    both = np.linalg.solve(linear, rates.reshape(len(warp), 2, -1))
+    return np.asarray(both.reshape(rates.shape))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,13 +171,13 @@ class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
         return self.camera.project(self.points_m)
 
 
-def project_body_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
+def project_body_points(camera: PlacedCamera, points_m: FloatArray, moved: RigidTransform = AT_REST) -> SeenPoints:
     """Return points (N,3) of a body at rest with their pixels' derivatives in a camera.
 
-    NaN for a missing point.
+    They are those of a motion that precedes `moved`. NaN for a missing point.
     """
     rates = derivatives(
-        lambda pose: camera.project(RigidTransform.from_pose(pose).apply(points_m)), np.full(6, RATE_STEP)
+        lambda pose: camera.project((moved @ RigidTransform.from_pose(pose)).apply(points_m)), np.full(6, RATE_STEP)
     )
     return SeenPoints(camera, points_m, rates)
 
@@ -162,7 +185,7 @@ def project_body_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoint
 def motion_from_positions(seen: Sequence[SeenPoints], positions_px: Sequence[FloatArray]) -> RigidTransform | None:
     """Return the motion from rest that brings points to positions (N, 2) in each camera.
 
-    Gauss-Newton with the rates at rest, as in `direct_fit.fit_direct`, of distances in px with Cauchy weights 1/(1 +
+    Gauss-Newton, as in `direct_fit.fit_direct`, of distances in px with Cauchy weights 1/(1 +
     d²/median d²), which tolerate a third of wrong positions. A last step weights those within five robust standard
     deviations equally. A start value, without a covariance. None where fewer than six positions are finite, or they do
     not determine all six components.
@@ -174,6 +197,8 @@ def motion_from_positions(seen: Sequence[SeenPoints], positions_px: Sequence[Flo
     rates, positions = rates[finite], positions[finite]
     weight, moved = np.ones(len(rates)), RigidTransform.identity()
     for _ in range(START_ROUNDS):
+        if moved.rotation.trace() < MIN_TRACE:
+            rates = np.concatenate([project_body_points(one.camera, one.points_m, moved).rates for one in seen])[finite]
         found = np.concatenate([one.camera.project(moved.apply(one.points_m)) for one in seen])[finite]
         step = _weighted_step(rates, positions - found, weight)
         if step is None:
@@ -295,14 +320,3 @@ class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S
     amplitude: FloatArray
     covariance: FloatArray
     share: FloatArray
-
-
-def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> FloatArray:
-    """Return the derivatives (C,6,S) of the patches' warps by the amplitudes of S shapes."""
-    shape = shapes(patches.points_m.reshape(-1, 3))
-    moved = shape.reshape(len(shape), *patches.points_m.shape)
-
-    def warps(amplitude: FloatArray) -> FloatArray:
-        return warps_of_points(camera, patches, patches.points_m + np.tensordot(amplitude, moved, 1))
-
-    return derivatives(warps, np.full(len(shape), RATE_STEP))

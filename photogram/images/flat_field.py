@@ -41,7 +41,7 @@ class FlatField(Arrays, shapes="dark H W; gain H W"):
     remaining: SensorPattern
 
     def correct(self, image: GreyImage, saturation: int) -> NDArray[np.float32]:
-        """Return an image (H, W) without the pattern; saturated pixels remain so, and no others become so."""
+        """Return an image (H, W) without the pattern, the same pixels of it saturated."""
         level = np.float32(self.dark.mean(dtype=np.float64))
         even = (image - self.dark) / self.gain + level
         full = image >= saturation
@@ -50,9 +50,10 @@ class FlatField(Arrays, shapes="dark H W; gain H W"):
 
 
 def flat_field(images: ImageSequence, dark: ImageSequence | None, flat: ImageSequence | None) -> FlatField:
-    """Return the correction of `images` by dark images (lens covered) and flat ones (of an even, unsharp surface).
+    """Return the correction of `images` by dark and flat images.
 
-    The mean of each series is used. Their scatter gives the noise that remains in it.
+    Dark are those with the lens covered, flat those of an even, unsharp surface. The mean of each series is used. Their
+    scatter gives the noise that remains in it.
 
     Raises
     ------
@@ -100,7 +101,7 @@ def corrected_sequence(images: ImageSequence, field: FlatField) -> ImageSequence
 
 
 def _mean_image(series: ImageSequence, images: ImageSequence) -> tuple[FloatArray, float]:
-    """Return the mean (H, W) of dark or flat images, and the variance of its noise, mean over the pixels."""
+    """Return the mean (H, W) of dark or flat images, and its noise variance."""
     if series.size_px != images.size_px:
         found = f"{series.size_px[0]} x {series.size_px[1]} px"
         raise ValueError(f"{series.names[0]}: expected {images.size_px[0]} x {images.size_px[1]} px, found {found}")

@@ -65,14 +65,43 @@ SENSOR_CLIPS = DeclaredNotice(
     remedy="Use less light or a shorter exposure.",
     link="look.md",
 )
-COLOUR_MOSAIC = DeclaredNotice(
-    "SC-208",
+SENSOR_SATURATES = DeclaredNotice(
+    "SC-244",
     "warning",
-    "Neighbouring pixels differ by {contrast_percent:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
-    "colour camera.",
-    effect="The pattern counts as texture and biases positions.",
-    remedy="Use a monochrome camera, or only one colour.",
-    link="look.md",
+    "The sensor saturates at about {level:.0f}: the brightest {share_percent:.2g} % of the body's pixels scatter less "
+    "than the noise of darker ones allows.",
+    effect="The texture is cut off. Motions below a pixel are too small by some {shortening_percent:.2g} %. The stated "
+    "error periodic in the pixel covers a part of it.",
+    remedy="Use less light or a shorter exposure.",
+    link="tracking.md#what-cameras-do",
+)
+NOISE_FALLS = DeclaredNotice(
+    "SC-245",
+    "note",
+    "The noise variance falls by {fall_percent:.2g} % from dark to bright pixels: grey values are not proportional to "
+    "light, as with a gamma of about 0.45.",
+    effect="Motions change by less than 0.01 %, because the curve moves with the texture.",
+    remedy="Switch off the gamma of the camera, for example to check its exposure and noise.",
+    link="tracking.md#what-cameras-do",
+)
+NOISE_OF_ROWS = DeclaredNotice(
+    "SC-246",
+    "note",
+    "Rows have a common error of {row_grey:.2g} grey values that changes between frames, compared with "
+    "{pixel_grey:.2g} of a single pixel.",
+    effect="Motions across the rows scatter more than the noise of single pixels predicts. The uncertainty of lines "
+    "includes it, since it is computed from the scatter.",
+    remedy="Record more frames, or use a camera whose rows have no noise in common.",
+    link="tracking.md#what-cameras-do",
+)
+COLUMNS_ALTERNATE = DeclaredNotice(
+    "SC-247",
+    "warning",
+    "Even and odd {lines} differ in gain by {gain_percent:.2g} %, as with a readout by two amplifiers.",
+    effect="This pattern stays in place while the body moves. It shortens motions across the {lines} below a pixel "
+    "by up to {shortening_percent:.2g} %, which no uncertainty includes.",
+    remedy="Correct the gain of the {lines} in the camera, or use motions of more than a pixel.",
+    link="tracking.md#what-cameras-do",
 )
 
 
@@ -140,7 +169,7 @@ GREY_FIT_DISAGREES = DeclaredNotice(
 # The fixed pattern of the sensors.
 
 PATTERN_CORRECTED = DeclaredNotice(
-    "SC-216",
+    "SC-214",
     "note",
     "The fixed pattern of the sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
     "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
@@ -150,17 +179,17 @@ PATTERN_CORRECTED = DeclaredNotice(
     link="tracking.md#fixed-pattern",
 )
 PATTERN_UNKNOWN = DeclaredNotice(
-    "SC-217",
+    "SC-215",
     "warning",
     "A motion of {motion_px:.2g} px (rms) at {frequency_hz:.6g} Hz does not show how large the fixed pattern of the "
     "sensors is: it may change the result by {u_percent:.2g} % (u), more than noise.",
     effect="U includes this, for the pattern that is stated or for that of a common industrial sensor.",
-    remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or add some frames with the body "
-    "displaced by 1 to 3 px.",
+    remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or `displaced_left` and "
+    "`displaced_right`: some images with the body displaced by 1 to 5 px.",
     link="tracking.md#fixed-pattern",
 )
 PATTERN_CONTRADICTED = DeclaredNotice(
-    "SC-218",
+    "SC-219",
     "warning",
     "The fixed pattern of the {camera} camera's sensor is {ratio:.1f} times (u {u:.1f}) the one that is stated for it.",
     effect="The measured size is used, and its uncertainty is in U.",

@@ -13,7 +13,7 @@ SMALLEST = 2e-4  # of prnu, and ten times that of dsnu: a sensor that is stated 
 
 @dataclass(frozen=True)
 class SensorPattern:
-    """Fixed pattern of a sensor: rms differences of its pixels that are the same in every image.
+    """Fixed pattern of a sensor: differences of its pixels in every image, rms.
 
     PRNU and DSNU as in EMVA 1288, release 4.0, section 8. The default is a good industrial sensor, of which an
     individual one may differ much.
@@ -41,7 +41,7 @@ class SensorPattern:
                 raise ValueError(f"{name}: expected a finite number of 0 or more, found {getattr(self, name)}")
 
     def variance(self, grey2: FloatArray, full_scale: float) -> FloatArray:
-        """Return the variance in grey² of pixels whose squared grey values are `grey2`, of any shape."""
+        """Return the variance of pixels in grey² by their squared grey values."""
         prnu, dsnu = max(self.prnu, SMALLEST), max(self.dsnu, SMALLEST / 10.0)
         return np.asarray(prnu**2 * grey2 + (dsnu * full_scale) ** 2)
 
@@ -50,7 +50,7 @@ TYPICAL = SensorPattern()
 
 
 def stated_pattern(prnu: float | None, dsnu: float | None) -> SensorPattern:
-    """Return the pattern of a data sheet; typical values of a type differ from those of a camera by some 30 %."""
+    """Return the pattern of a data sheet; single cameras differ by some 30 %."""
     if prnu is None and dsnu is None:
         return TYPICAL
     prnu, dsnu = (

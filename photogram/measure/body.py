@@ -20,6 +20,7 @@ from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.fixed_pattern import FixedPattern, fixed_pattern
 from photogram.measure.follow import (
+    CAMERAS,
     BodyPrior,
     BodyScene,
     BodyTracker,
@@ -208,8 +209,8 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         quality = tuple(
             assess_subsets(reference, first, model, side.saturation) for reference, first, model, side in sides
         )
-        named = zip(("left camera", "right camera"), quality, strict=False)
-        remarks = [notice for where, predicted in named for notice in predicted.notices(where)]
+        named = zip(CAMERAS, quality, strict=False)
+        remarks = [*scene.noise_notices, *(notice for where, predicted in named for notice in predicted.notices(where))]
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
@@ -412,7 +413,7 @@ class _Sums:
 
 
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits, FixedPattern | None]:
-    """Iterate over the tracked frames for noise, notices, and the direct fits without the effect of the pattern."""
+    """Iterate over the tracked frames for noise, notices, and corrected direct fits."""
     monitor = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
@@ -441,7 +442,8 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     if levels:
         known = [images.pattern for images in scene.images]
         full_scales = [float(images.full_scale) for images in scene.images]
-        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, (whole.pose, whole.misfit))
+        seen, further = (whole.pose, whole.misfit), _displaced(scene)
+        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, seen, further)
         whole = replace(whole, pose=whole.pose + pattern.correction)
     white = grey if pattern is None else _with_pattern(scene, grey, pattern)
     summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)
@@ -449,10 +451,19 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     return tracked, whole, pattern
 
 
+def _displaced(scene: BodyScene) -> tuple[FloatArray, FloatArray]:
+    """Return poses (D, 6) and misfits (D, V, 2) of the displaced body."""
+    images = scene.body.displaced
+    frames = zip(*(one.read_ahead(range(len(one))) for one in images), strict=True)
+    found = [fit for frame in frames if (fit := BodyTracker(scene).find(0, frame)[1]) is not None]
+    pose, misfit = [fit.moved.pose for fit in found], [fit.misfit for fit in found]
+    return np.array(pose).reshape(-1, 6), np.array(misfit).reshape(-1, len(scene.views), 2)
+
+
 def _with_pattern(
     scene: BodyScene, noise_grey: tuple[FloatArray, ...], pattern: FixedPattern
 ) -> tuple[FloatArray, ...]:
-    """Return the noise of the first image at the subsets, that of the pixels' fixed pattern included."""
+    """Return the noise of the first image at the subsets, fixed pattern included."""
     whole = []
     for side, grey in enumerate(noise_grey):
         mean2 = np.array(np.mean(scene.references[side].mean ** 2))
@@ -481,7 +492,7 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
 
 
 def _as_seen(motion: RigidMotion, pattern: FixedPattern | None) -> RigidMotion:
-    """Return the motion without the correction for the fixed pattern, which the points do not have."""
+    """Return the motion without the correction for the fixed pattern, as the points have it."""
     return motion if pattern is None else replace(motion, pose=motion.pose - pattern.correction)
 
 

@@ -16,7 +16,7 @@ from photogram.direct.direct_fit import (
     fit_direct,
     phase_rotated_pose,
     row_information,
-    with_jacobians,
+    with_cells,
 )
 from photogram.direct.surface import motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
@@ -201,7 +201,7 @@ class ExposureCorrection(Arrays):
                 references.append(spline_of_image(reference, scene.settings.degree))
                 targets.append(spline_of_image(self._blurred(side, image, moved, (0, rest)), scene.settings.degree))
                 cells = prepare_cells(references[side], scene.grid.areas[side], view.cells.side_px, model, float(full))
-                view = with_jacobians(view.camera, cells, view.patches, view.rates)
+                view = with_cells(view, cells)
             if swing.rolling_shutter:
                 seen = points = moved.apply(view.patches.points_m)
                 for _ in range(ROUNDS):

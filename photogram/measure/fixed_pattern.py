@@ -1,4 +1,4 @@
-"""Effect of the fixed pattern of image sensors on a body's motion: its size by the misfit of the frames, correction.
+"""Fixed pattern of image sensors: its effect on a body's motion, measured and corrected.
 
 A frame is scene times pattern, and so is the reference. Moved by u, the reference's pattern P meets the frame's at
 P(x + u): their difference is part of the misfit, least at u = 0, and shortens every small motion. Half the derivative
@@ -23,7 +23,7 @@ from shakercal._common.propagation import covariance_root
 PARTS = ("pixels", "columns", "rows", "shadows")
 """Parts of a pattern: independent pixels; whole columns and rows; dust, whose shadows are some pixels wide."""
 SHADOW_PX = 3.0  # standard deviation of a shadow's profile, chosen
-MODEL_SHARE = 0.05  # of a correction, standard uncertainty by patterns of other kinds, chosen
+MODEL_SHARE = 0.03  # of a correction, standard uncertainty by patterns of other kinds, chosen
 FRAMES_AT_ONCE = 256
 MIN_FREE_FRAMES, OUTLIER, ROUNDS = 3, 4.0, 3
 """Frames beyond the unknowns; robust standard deviations of a rejected misfit, and rounds of rejection."""
@@ -49,6 +49,14 @@ class FixedPattern(Arrays, shapes="correction F 6; change F J 6; variance V 2; e
     patterns: tuple[SensorPattern, ...]
     estimate: FloatArray
 
+    @property
+    def prnu(self) -> FloatArray:
+        """Relative rms of the pixels' gains, and its standard uncertainty, of each camera (V, 2)."""
+        nominal, (size, u) = np.array([one.prnu for one in self.patterns]), self.variance.T
+        found = np.sqrt(np.maximum(size, 0.0))
+        above = np.sqrt(np.maximum(size, 0.0) + u)
+        return np.column_stack([nominal * found, nominal * (above - found)])
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
@@ -66,7 +74,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
 
     @classmethod
     def of(cls, view: BodyView, pattern: SensorPattern, degree: int, full_scale: float) -> PatternModel:
-        """Return the model of a camera's pattern: pixels as `pattern`, other parts of relative variance 1."""
+        """Return a camera's model: pixels as `pattern`, other parts of relative variance 1."""
         cells = view.cells
         grey2 = np.where(view.steady, np.nan_to_num(cells.energy) + cells.weight * cells.mean**2, 0.0)
         mean2 = grey2 / np.where(cells.weight > 0.0, cells.weight, 1.0)
@@ -80,7 +88,9 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return np.array([[white, white], [white, 0.0], [0.0, white], [wide, wide]])
 
     def effects(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the misfit (F, 4) and the slope by the motion (F, 4, 6) that each part adds at poses (F, 6).
+        """Return what each part adds to misfit (F, 4) and slope (F, 4, 6).
+
+        `pose`: (F, 6).
 
         White pixels of variance v differ by v·(κ + 1 − 2·h(u_x)·h(u_y)), with the gain κ of interpolation, and
         correlate with the slopes of the reference (`bspline.pattern_overlap`). Columns do so along x, rows along y.
@@ -104,7 +114,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return np.concatenate(misfits), np.concatenate(slopes)
 
     def information(self, level: float, size: FloatArray) -> FloatArray:
-        """Return the information (6, 6) of the scene alone, for a noise level and sizes (4,) of the parts."""
+        """Return the information (6, 6) of the scene alone for sizes (4,)."""
         view, rates = self.view, self.view.rates[:, [0, 3], :6]
         noise = level + size[0] * self.variance[:, 0] / np.maximum(view.cells.count, 1)
         clean = view.information[:, :6, :6] - noise[:, None, None] * view.information_noise[:, :6, :6]
@@ -118,21 +128,25 @@ def fixed_pattern(
     full_scales: Sequence[float],
     degree: int,
     fits: tuple[FloatArray, FloatArray],
+    displaced: tuple[FloatArray, FloatArray],
 ) -> FixedPattern:
-    """Return the effect of each camera's fixed pattern, its size estimated from what is known and from the frames.
+    """Return the effect of the cameras' fixed patterns, whose size is estimated.
 
-    `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. Of each camera
+    `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. `displaced`: those
+    of further frames, which only show the size. Of each camera
     misfit/expected = level + Σ sizeₖ·(misfit of part k)/expected is fitted by least squares, with the known sizes as
     further observations (Bayes's theorem for normal distributions). The slope b of all cameras moves the pose by
     −H⁻¹·b, with the information H of the scene without noise and pattern.
     """
     pose, misfit = fits
     fitted = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(misfit).all(axis=(1, 2)))
+    shown = [np.concatenate([of_fits[fitted], further]) for of_fits, further in zip(fits, displaced, strict=True)]
     slopes, roots, variance, whole = [], [], [], np.zeros((6, 6))
     for side, (view, pattern, full_scale) in enumerate(zip(views, patterns, full_scales, strict=True)):
         model = PatternModel.of(view, pattern, degree, full_scale)
-        added, slope = model.effects(pose[fitted])
-        level, size, covariance = _sizes(misfit[fitted, side], added, pattern)
+        added, every_slope = model.effects(shown[0])
+        level, size, covariance = _sizes(shown[1][:, side], added, pattern)
+        slope = every_slope[: len(fitted)]
         whole += model.information(level, size)
         nominal = np.einsum("fkp,k->fp", slope, size)
         slopes.append(nominal)
@@ -141,13 +155,13 @@ def fixed_pattern(
         variance.append((size[0], np.sqrt(covariance[0, 0])))
     estimate = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     both = np.stack([np.sum(slopes, axis=0), *roots], axis=1) @ estimate.T
-    turned = np.zeros((len(pose), both.shape[1], 6))
-    turned[fitted] = _of_pose(both, pose[fitted])
-    return FixedPattern(turned[:, 0], turned[:, 1:], np.array(variance), tuple(patterns), estimate)
+    change = np.zeros((len(pose), both.shape[1], 6))
+    change[fitted] = _of_pose(both, pose[fitted])
+    return FixedPattern(change[:, 0], change[:, 1:], np.array(variance), tuple(patterns), estimate)
 
 
 def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tuple[float, FloatArray, FloatArray]:
-    """Return the noise level, and the sizes (4,) of the parts of a pattern with their covariance (4, 4).
+    """Return noise level, and sizes (4,) of a pattern's parts with their covariance.
 
     `misfit` (F, 2), found and expected; `added` (F, 4) by each part of size 1. Misfits far off are not used.
     """
@@ -170,15 +184,15 @@ def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tup
         level, size = float(solution[0]), solution[1:] * u
         covariance = inverse[1:, 1:] * np.outer(u, u)
         left = np.abs(ratio - design @ np.concatenate([[level], size]))
-        again = left <= OUTLIER * 1.4826 * np.median(left[used])
-        if np.array_equal(again, used):
+        near = left <= OUTLIER * 1.4826 * np.median(left[used])
+        if np.array_equal(near, used):
             break
-        used = np.asarray(again)
+        used = np.asarray(near)
     return level, size, covariance
 
 
 def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return steps (F, J, 6) in the frame of the moved body as changes of poses (F, 6)."""
+    """Return steps (F, J, 6) of the moved body as changes of poses."""
     rotation = rotation_from_vector(pose[:, 3:])
     shift = np.einsum("fij,fkj->fki", rotation, step[..., :3])
     turn = np.einsum("fij,fkj->fki", rotation_vector_rate(pose[:, 3:]) @ rotation, step[..., 3:])
@@ -186,7 +200,7 @@ def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def cell_phasors(fits: Iterable[Sequence[DirectFit]], columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients (T, C, 6) of the cells' residual slopes, and their variance per unit of (XᵀX)⁻¹.
+    """Return coefficients (T, C, 6) of the cells' slopes, and the slopes' covariance.
 
     `fits`: of frames with residuals, some at a time; `columns` X (S, T) of these frames. The covariance (C, 6, 6) is
     that of the slopes about the columns. A pattern leaves slopes in every cell that repeat with the motion, by chance

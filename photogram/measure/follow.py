@@ -20,6 +20,7 @@ from photogram.direct.direct_fit import (
     image_noise,
     reweight_view,
     view_body,
+    views_near,
 )
 from photogram.direct.surface import (
     PlacedCamera,
@@ -40,12 +41,14 @@ from photogram.subsets.reference import ReferenceSubsets
 from photogram.subsets.search import HISTORY, predict_next, predict_warp
 from photogram.subsets.track import StereoGrid, first_frame, lay_single_grid, lay_stereo_grid, prepare_sequence
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray
+from shakercal._common.notices import Notice
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]
 Noise = tuple[NoiseModel, ...]
 Registrations = tuple[Registration, ...]
 """Of each camera: left and right of a pair, or the only one."""
+CAMERAS = ("left camera", "right camera")
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 64
 """Constant, so that results do not depend on the number of processes: a compromise of sharing and restarts."""
@@ -83,6 +86,8 @@ class BodyPrior(Arrays, shapes="terms F m; absent F"):
     terms : (F, m) of which its motion is mainly a sum (`sine_terms`), the most important first; None if unknown. They
         predict its position, and do not enter the measurement.
     absent : (F,) frames that do not show their instant, which are skipped; None for none.
+    displaced : further images of each camera, of the body displaced by some pixels, which show how large the fixed
+        pattern of the sensors is.
     """
 
     depth_m: DepthRange | None = None
@@ -90,6 +95,7 @@ class BodyPrior(Arrays, shapes="terms F m; absent F"):
     rolling_shutter: bool = False
     terms: FloatArray | None = None
     absent: BoolArray | None = None
+    displaced: tuple[ImageSequence, ...] = ()
 
     def is_absent(self, number: int) -> bool:
         """Return whether a frame is absent."""
@@ -113,6 +119,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; subset_frames F"):
     lead : frames after the first, usually one, that were tracked to find that noise.
     blocks : the other frames, each block of which is tracked separately from the reference.
     subset_frames : (F,) in which subsets are searched, even if the direct fit succeeds.
+    noise_notices : of noise that the models do not explain.
     """
 
     images: tuple[ImageSequence, ...]
@@ -131,6 +138,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; subset_frames F"):
     lead: FollowedBlock
     blocks: tuple[range, ...]
     subset_frames: BoolArray
+    noise_notices: tuple[Notice, ...] = ()
 
     @property
     def shapes(self) -> Shapes:
@@ -205,11 +213,13 @@ def iterate_blocks(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterato
 class BodyTracker:
     """Tracker of a body from frame to frame of a block, with prediction.
 
-    fits: of the last consecutive frames that have one, at most `MAX_FITS`.
+    fits: of the last consecutive frames that have one, at most `MAX_FITS`. views, near: those of the scene, with rates
+    that apply to the last prediction.
     """
 
     def __init__(self, scene: BodyScene) -> None:
         self.scene, self.fits = scene, list[DirectFit]()
+        self.views, self.near = scene.views, scene.near
         self.sides = followers(scene)
         self._history, self._last = list[Registrations](), scene.lead[-1][0] if scene.lead else None
 
@@ -239,14 +249,17 @@ class BodyTracker:
         """
         if len(self.fits) < MIN_PREDICTION_FRAMES:
             return None
-        scene, along = self.scene, self.extrapolate(range(number, number + 1))
-        start: RigidTransform | None
+        along, start = self.extrapolate(range(number, number + 1)), None
         if len(along):
             start = RigidTransform.from_pose(along[0])
         else:
             start = predict_motion(self.fits)
-            start = coarse_fit(scene.near, splines, start) if scene.near else start
-        fit = None if start is None else fit_direct(scene.views, splines, start)
+            self.near = views_near(self.near, start)
+            start = coarse_fit(self.near, splines, start) if self.near else start
+        if start is None:
+            return None
+        self.views = views_near(self.views, start)
+        fit = fit_direct(self.views, splines, start)
         return None if fit is None or has_excess_noise(fit, self.fits) else fit
 
     def extrapolate(self, numbers: range) -> FloatArray:
@@ -285,7 +298,7 @@ class BodyTracker:
         return starts
 
     def add_frame(self, found: Registrations | None, fit: DirectFit | None) -> FollowedFrame:
-        """Add the result of the next frame, and return it; residuals of cells are kept where subsets are."""
+        """Add the next frame, and return it, with cell residuals only beside subsets."""
         if found is None:
             self._history = []
             fit = None if fit is None else replace(fit, scores=fit.scores[:0])
@@ -378,10 +391,13 @@ def reweight_scene(
 
     `views`: as compared with the images `targets` after the motion `moved`.
     """
-    noise = tuple(image_noise(*one, moved) for one in zip(views, targets, strict=True))
+    found = (
+        image_noise(view, target, moved, name) for view, target, name in zip(views, targets, CAMERAS, strict=False)
+    )
+    noise, notices = zip(*found, strict=True)
     weighed = zip(scene.views, noise, strict=True)
     renewed = tuple(reweight_view(view, model, scene.settings.degree) for view, model in weighed)
-    return replace(scene, noise=noise, views=renewed)
+    return replace(scene, noise=noise, views=renewed, noise_notices=tuple(chain.from_iterable(notices)))
 
 
 def report_progress(progress: Progress | None, frames: int) -> None:

@@ -13,8 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from photogram.direct.direct_fit import DirectFit
+from photogram.direct.direct_fit import DirectFit, views_near
 from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
+from photogram.geometry import RigidTransform
 from photogram.images.sequence import GreyImage
 from photogram.measure.follow import (
     MIN_PREDICTION_FRAMES,
@@ -110,7 +111,7 @@ class _Engine:
 
     def __init__(self, tracker: BodyTracker, device: str) -> None:
         load_solvers(device)
-        self._tracker, scene = tracker, tracker.scene
+        self._tracker, self._device, scene = tracker, device, tracker.scene
         self._views = [torch_view(view, device, PRECISION) for view in scene.views]
         self._references = [torch_reference(reference, device, PRECISION) for reference in scene.references]
 
@@ -121,7 +122,10 @@ class _Engine:
         """
         scene, before = self._tracker.scene, previous_fits(self._tracker)
         splines = [splines_of(raw, scene.settings.degree, PRECISION) for raw in batch.raw]
-        everywhere = range(len(starts))
+        everywhere, first = range(len(starts)), RigidTransform.from_pose(starts[0])
+        if not all(view.source.is_near(first) for view in self._views):
+            near = views_near([view.source for view in self._views], first)
+            self._views = [torch_view(view, self._device, PRECISION) for view in near]
         fits = fit_frames(self._views, [(one, everywhere) for one in splines], starts)
         accepted = [None if fit is None or has_excess_noise(fit, before) else fit for fit in fits]
         with_subsets = [

@@ -15,7 +15,8 @@ import numpy as np
 
 from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.targets.target_view import Target, TargetView
+from photogram.synthetic.patterns import Board, spots, tiles
+from photogram.targets.target_view import TargetView
 from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.kernels import njit
 
@@ -183,80 +184,6 @@ _FINER = 2  # rendered squares along a pixel
 _SOFT_PX = 0.5  # blur of the rendered edges, in these squares
 
 
-@dataclass(frozen=True)
-class Board:
-    """A printed target for rendering: black on a white sheet.
-
-    Lengths are in units of the target's spacing, in the frame of `Target`.
-
-    Attributes
-    ----------
-    target : Kind, spacing and size.
-    radius : Of dots; default 0.3.
-    rings : Positions (x, y) of the ring markers at (x, 0) and (0, y), in addition to the one at (0, 0); None for dots
-        without.
-    hole : Radius of the white hole in a ring; default 0.15.
-    lattice : First column, last column, first row, last row of the dots around ring markers.
-    legacy : ChArUco pattern of OpenCV before 4.6; default False.
-    marker_share : Side of a marker; default 0.75.
-    margin : Of the sheet beyond the outermost squares or dots' centres; default 1.
-    bright, dark, background : Grey levels, fractions of full scale, of the sheet, the print, and around it.
-
-    Examples
-    --------
-    >>> Board(Target("dots", 5e-3, (7, 5)), radius=0.25).points_m.shape
-    (35, 3)
-    """
-
-    target: Target
-    radius: float = 0.3
-    rings: tuple[int, int] | None = None
-    hole: float = 0.15
-    lattice: tuple[int, int, int, int] = (-5, 10, -5, 8)
-    legacy: bool = False
-    marker_share: float = 0.75
-    margin: float = 1.0
-    bright: float = 0.80
-    dark: float = 0.08
-    background: float = 0.25
-
-    def __post_init__(self) -> None:
-        if self.target.kind == "charuco" and self.target.dictionary is None:
-            raise ValueError("target: expected the dictionary of a ChArUco board, found none")
-        if self.target.kind == "dots" and (self.target.size is None) != (self.rings is not None):
-            raise ValueError(f"rings: expected them where the target has no size, found {self.rings}")
-
-    @property
-    def index(self) -> FloatArray:
-        """Lattice indices (N, 2), integers, of all corners or dots."""
-        if self.target.size is None:
-            return _lattice(*self.lattice)
-        columns, rows = self.target.size
-        if self.target.kind == "charuco":
-            return _lattice(0, columns - 2, 0, rows - 2)
-        if self.target.kind == "asymmetric-dots":
-            points = _lattice(0, columns - 1, 0, rows - 1)
-            return np.column_stack([2 * points[:, 0] + points[:, 1] % 2, points[:, 1]])
-        return _lattice(0, columns - 1, 0, rows - 1)
-
-    @property
-    def points_m(self) -> FloatArray:
-        """Positions (N, 3) of `index` in the target's frame."""
-        return np.column_stack([self.index, np.zeros(len(self.index))]) * self.target.spacing_m
-
-    @property
-    def extent_m(self) -> FloatArray:
-        """Limits of the sheet in the target's frame (4,): x and y."""
-        edge = self.margin + (1.0 if self.target.kind in {"chessboard", "charuco"} else 0.0)
-        (x0, y0), (x1, y1) = self.index.min(axis=0) - edge, self.index.max(axis=0) + edge
-        return np.array([x0, x1, y0, y1]) * self.target.spacing_m
-
-
-def _lattice(first_column: int, last_column: int, first_row: int, last_row: int) -> FloatArray:
-    i, j = np.meshgrid(np.arange(first_column, last_column + 1.0), np.arange(first_row, last_row + 1.0))
-    return np.column_stack([i.ravel(), j.ravel()])
-
-
 def render_board(
     camera: Camera,
     camera_from_target: RigidTransform,
@@ -327,14 +254,14 @@ def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, sof
     homography = np.linalg.inv(plane_to_ray)
     sigma = soft_px / _magnification(camera, camera_from_target, board)
     width, height = (int(n) for n in camera.size_px)
-    if board.target.kind in {"chessboard", "charuco"}:
+    if board.target.kind in {"chessboard", "charuco", "aprilgrid"}:
         image = np.empty((height, width))
-        edges_x, edges_y, tiles = _tiles(board)
-        render_tiles(camera.parameters, homography, edges_x, edges_y, tiles, sigma, image)
+        edges_x, edges_y, levels = tiles(board)
+        render_tiles(camera.parameters, homography, edges_x, edges_y, levels, sigma, image)
         return image
     shares = np.empty((height, width, 2))
-    spots, first = _spots(board)
-    render_dots(camera.parameters, homography, spots, first, board.extent_m / spacing, sigma, shares)
+    dots, first = spots(board)
+    render_dots(camera.parameters, homography, dots, first, board.extent_m / spacing, sigma, shares)
     sheet = board.bright - (board.bright - board.dark) * shares[..., 0]
     return np.asarray(board.background + (sheet - board.background) * shares[..., 1])
 
@@ -347,64 +274,6 @@ def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Bo
     pixels = camera.project(camera_from_target.apply(around))
     slope = np.stack([pixels[0] - pixels[1], pixels[2] - pixels[3]]) / 2e-3
     return float(np.sqrt(np.abs(np.linalg.det(slope))))
-
-
-def _tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return edges (X,), (Y,) in spacings, and grey levels (Y + 1, X + 1)."""
-    columns, rows = board.target.size or (0, 0)
-    if board.target.kind == "chessboard":
-        columns, rows = columns + 1, rows + 1
-        cells = np.add.outer(np.arange(rows), np.arange(columns))[:, :, None, None] % 2
-        inner = np.array([0.0])
-    else:
-        cells, inner = _charuco_cells(board, columns, rows)
-    size = cells.shape[2]
-    black_white = cells.transpose(0, 2, 1, 3).reshape(rows * size, columns * size)
-    grey = board.dark + (board.bright - board.dark) * np.pad(black_white, 1, constant_values=1)
-    tiles = np.pad(grey, 1, constant_values=board.background)
-    edges = [
-        np.concatenate(
-            [[-1 - board.margin], (np.arange(n)[:, None] - 1 + inner).ravel(), [n - 1, n - 1 + board.margin]]
-        )
-        for n in (columns, rows)
-    ]
-    return edges[0], edges[1], tiles.astype(np.float64)
-
-
-def _charuco_cells(board: Board, columns: int, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return the squares with markers, 0 black and 1 white, and a square's edges."""
-    import cv2
-
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.target.dictionary)))
-    bits = dictionary.markerSize + 2
-    odd = 1 if board.legacy and rows % 2 == 0 else 0
-    cells = np.zeros((rows, columns, bits + 2, bits + 2))
-    marker = 0
-    for row in range(rows):
-        for column in range(columns):
-            if (row + column) % 2 != odd:
-                cells[row, column] = 1.0
-                image = cv2.aruco.generateImageMarker(dictionary, marker, bits)
-                cells[row, column, 1:-1, 1:-1] = image > 0
-                marker += 1
-    start = (1 - board.marker_share) / 2
-    inner = np.concatenate([[0.0], np.linspace(start, 1 - start, bits + 1)])
-    return cells, inner
-
-
-def _spots(board: Board) -> tuple[FloatArray, FloatArray]:
-    """Return radius and hole (rows, columns, 2) of the dots, and the first point."""
-    index = board.index.astype(np.int64)
-    first = index.min(axis=0)
-    columns, rows = index.max(axis=0) - first + 1
-    spots = np.zeros((rows, columns, 2))
-    column, row = (index - first).T
-    spots[row, column, 0] = board.radius
-    if board.rings is not None:
-        x, y = board.rings
-        for i, j in ((0, 0), (x, 0), (0, y)):
-            spots[j - first[1], i - first[0], 1] = board.hole
-    return spots, first.astype(np.float64)
 
 
 # Random stereo pairs and random poses of a calibration target: sessions with known truth.
@@ -475,7 +344,7 @@ def _working_point(rig: StereoRig, board: Board) -> tuple[FloatArray, FloatArray
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
     facing = np.column_stack([x, np.cross(z, x), z])
-    if board.rings is not None:
+    if board.rings is not None or board.target.kind == "aprilgrid":
         facing = facing * [1.0, -1.0, -1.0]
     return centre, facing, float(centre[2])
 
@@ -518,6 +387,7 @@ class SessionFaults:
     locking_px : Amplitude of an error that depends on the point's position within its pixel, as in sharpened images.
     focus_profile : "even"; "warming", exponential with three time constants; "jump", at once after a third of the
         views, as a touched lens.
+    held : Number of successive views that share their smooth error, as images of a target held at rest do.
     """
 
     warp_m: float = 0.0
@@ -525,6 +395,7 @@ class SessionFaults:
     smooth_px: float = 0.0
     locking_px: float = 0.0
     focus_profile: Literal["even", "warming", "jump"] = "even"
+    held: int = 1
 
     def growth(self, views: int) -> FloatArray:
         """Return the relative change (V,) of the focal lengths in each view, with mean zero."""
@@ -558,17 +429,19 @@ def simulate_session(
     root = np.linalg.cholesky(np.exp(-0.5 * (distance / length) ** 2) + 1e-6 * np.eye(len(points)))
     stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
     pairs: list[tuple[TargetView, TargetView]] = []
-    for pose, change in zip(poses, faults.growth(len(poses)), strict=True):
+    smooth: dict[str, FloatArray] = {}
+    for number, (pose, change) in enumerate(zip(poses, faults.growth(len(poses)), strict=True)):
         growth = np.ones(13)
         growth[:2] += change
         sides = [Camera.from_parameters(camera.parameters * growth, camera.size_px) for camera in (rig.left, rig.right)]
         found = []
-        for side, pixel in zip(
-            "LR", replace(rig, left=sides[0], right=sides[1]).project(pose.apply(points)), strict=True
-        ):
-            error = noise_px * rng.normal(size=pixel.shape) + faults.smooth_px * (root @ rng.normal(size=pixel.shape))
-            seen = pixel + error + faults.locking_px * np.sin(2 * np.pi * pixel)
-            found.append(TargetView(f"{side}{len(pairs)}", index, seen, stated, 0.0, 0.7, rig.left.size_px))
+        projected = replace(rig, left=sides[0], right=sides[1]).project(pose.apply(points))
+        for side, camera, pixel in zip("LR", sides, projected, strict=True):
+            noise = noise_px * rng.normal(size=pixel.shape)
+            if number % faults.held == 0:
+                smooth[side] = faults.smooth_px * (root @ rng.normal(size=pixel.shape))
+            seen = pixel + noise + smooth[side] + faults.locking_px * np.sin(2 * np.pi * pixel)
+            found.append(TargetView(f"{side}{number}", index, seen, stated, 0.0, 0.7, camera.size_px))
         pairs.append((found[0], found[1]))
     return pairs
 

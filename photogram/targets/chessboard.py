@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from shakercal._common.arrays import FloatArray, IntArray
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _MARGIN = 0.75  # squares around the outermost corners that belong to the target's area
 _FEWEST = 6  # corners of a view, for a homography with a check
+_FEWEST_SIDE = 3  # corners along a side of a part of a board
 _STRIP = 0.08  # of a square, along the edges of squares with markers, at first
 _CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
 
@@ -45,9 +47,7 @@ def corner_view(
     `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
     assert target.size is not None
-    markers = target.kind == "charuco"
-    less = 1 if markers else 0
-    total = (target.size[0] - less) * (target.size[1] - less)
+    markers, total = target.kind == "charuco", target.points or 0
     across = [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
     area = outline(np.concatenate([start_px + _MARGIN * diagonal for diagonal in across]))
     check_exposure(image, area, full_scale)
@@ -104,14 +104,14 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
     bend = np.zeros((len(index), 2))
     for k, lattice in ((0, grid), (1, grid.swapaxes(0, 1))):
         before, middle, after = lattice[:, :-2], lattice[:, 1:-1], lattice[:, 2:]
-        along = (after - before) / 2
-        length = np.linalg.norm(along, axis=-1)
-        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
+        along = after - before
+        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1)[..., None]
         steps = (lattice[1:] - lattice[:-1]).reshape(-1, 2)
         steps = steps[np.isfinite(steps).all(axis=1)]
         across = steps.mean(axis=0) if len(steps) else np.zeros(2)
         normal *= np.sign((normal * across).sum(axis=-1, keepdims=True))
-        turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / length**2
+        product = np.linalg.norm(middle - before, axis=-1) * np.linalg.norm(after - middle, axis=-1)
+        turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / product
         at = np.argwhere(np.isfinite(turn))
         if len(at) >= 3:
             terms = 6 if len(at) >= 18 else 3 if len(at) >= 9 else 1
@@ -139,8 +139,12 @@ def _measured(status: IntArray, total: int) -> str:
 SEARCHED_PX = 1400  # longest side of the reduced image in which the board is searched first
 
 
-def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
+def find_chessboard(
+    image: NDArray[Any], target: Target, name: str, full_scale: float, partial: bool = False
+) -> TargetView:
     """Return the inner corners of a chessboard that lies wholly in the image.
+
+    If `partial`, also of a part of it, numbered from its first corner.
 
     Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
     square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even),
@@ -159,16 +163,34 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
             if corners is not None:
                 break
         else:
-            raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
+            reason = _reason(image, small, boards, target.size, full_scale)
+            part = next((board for board in boards if partial and _is_part(board, target.size)), None)
+            if part is None:
+                raise TargetNotFound(reason)
+            lattice = _oriented(grey, (part.swapaxes(0, 1) + 0.5) * factor - 0.5)
+            index, start, axes = _located(lattice)
+            index[:, 0] += 0 if _begins_black(grey, lattice) else 1
+            view = corner_view(image, target, index, start, axes, name, full_scale)
+            return replace(view, is_partial=True, loss_reasons=reason)
     _refuse_larger(grey, corners)
     small, factor = downscale(grey, SEARCHED_PX)
     another = _search(_covered(small, (corners + 0.5) / factor - 0.5), target.size)
     if another is not None and _is_board(small, another):
         refuse_second(f"a chessboard of {target.size[0]} x {target.size[1]} inner corners")
-    lattice = _oriented(grey, corners)
+    return corner_view(image, target, *_located(_oriented(grey, corners)), name, full_scale)
+
+
+def _located(lattice: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return index, position (N, 2) and sides (N, 2, 2) of corners (I, J, 2)."""
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
-    located = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
-    return corner_view(image, target, *located, name, full_scale)
+    return index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
+
+
+def _is_part(board: FloatArray, size: tuple[int, int]) -> bool:
+    """Return whether a lattice (rows, columns, 2) may be a part of the board."""
+    short, long = sorted(board.shape[:2])
+    fits = _FEWEST_SIDE <= short <= min(size) and long <= max(size)
+    return bool(fits and short * long < size[0] * size[1])
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -253,18 +275,20 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
     turns = range(4) if columns == rows else (0, 2)
     candidates = [np.rot90(corners, turn) for turn in turns]
 
-    def begins_black(lattice: FloatArray) -> bool:
-        """Return whether the square beyond corner (0, 0) and those of its colour are dark."""
-        quadrants = _quadrants(grey, lattice, _axes(lattice))
-        brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
-        parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
-        return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
-
     def rightward(lattice: FloatArray) -> float:
         along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
         return float(along[0] / np.linalg.norm(along))
 
-    return max(list(filter(begins_black, candidates)) or candidates, key=rightward)
+    black = [lattice for lattice in candidates if _begins_black(grey, lattice)]
+    return max(black or candidates, key=rightward)
+
+
+def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
+    """Return whether the square beyond corner (0, 0) and those of its colour are dark."""
+    quadrants = _quadrants(grey, lattice, _axes(lattice))
+    brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
+    parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
+    return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
 
 
 def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]:
@@ -312,7 +336,10 @@ def _reason(
     sides = [np.rot90(lattice, turn) for turn in range(4)]
     beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
-        return f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible"
+        return (
+            f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible, whose numbers are "
+            "certain only if the other camera sees the whole board, or with markers (charuco, aprilgrid)"
+        )
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {expected}"
 
 

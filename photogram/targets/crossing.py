@@ -14,7 +14,7 @@ from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, ch
 from shakercal._common.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
-GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
+GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT, SMALL = 0, 1, 2, 3, 4, 5
 FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns after those of the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
@@ -22,8 +22,7 @@ _RULES = 30, 1e-2, 1e-6, 1e6, True  # of `minimise`; usually fewer than ten step
 _MAX_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
 """Steps of the centre that end a fit: for the position of the window, and for the result, with a far smaller error."""
-_SMALLEST_WINDOW_PX = 4.0  # half width
-_SHARPEST_PX = 0.25  # smallest blur σ of the model
+_SMALLEST_WINDOW_PX, _SHARPEST_PX = 4.0, 0.25  # half width of a window; smallest blur σ of the model
 _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 
@@ -368,6 +367,7 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
             size[0] *= 0.8
             count = _window(image, start[n], axes[n], size, buffer, taper)
         if count < 2 * PARAMETERS:
+            out[STATUS] = OUTSIDE if count < 0 else SMALL
             continue
         full = 0
         for k in range(count):
@@ -403,6 +403,7 @@ REASONS = {
     SATURATED: "overexposed",
     NO_CROSSING: "no crossing of two edges",
     FAINT: "with less than 0.4 of the usual contrast, or exchanged colours",
+    SMALL: "with too few pixels around them",
 }
 _WINDOW = 0.55  # of a square's side, to either side of the corner
 _WIDEST_PX = 14.0  # the same, in px: beyond it the edges' curvature costs more than they add

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from photogram.images.sequence import GreyImage
+from photogram.targets.aprilgrid import find_aprilgrid
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import find_chessboard
 from photogram.targets.dots import find_dots
 from photogram.targets.target_view import Target, TargetView
 
 
-def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
+def find_target(image: GreyImage, target: Target, name: str, full_scale: int, partial: bool = False) -> TargetView:
     """Find the points of a calibration target in an image.
 
     Parameters
@@ -22,6 +23,8 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
         Of the image.
     full_scale
         Its largest possible grey value.
+    partial
+        Accept a part of a chessboard, whose corners have no certain number (`TargetView.is_partial`); default False.
 
     Returns
     -------
@@ -43,7 +46,9 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
     array([66.67, 66.67])
     """
     if target.kind == "chessboard":
-        return find_chessboard(image, target, name, full_scale)
+        return find_chessboard(image, target, name, full_scale, partial)
     if target.kind == "charuco":
         return find_charuco(image, target, name, full_scale)
+    if target.kind == "aprilgrid":
+        return find_aprilgrid(image, target, name, full_scale)
     return find_dots(image, target, name, full_scale)

@@ -12,25 +12,33 @@ from photogram.images.noise import NoiseModel, fit_noise_model
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 
 SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of plausible targets
-TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
+TargetKind = Literal["chessboard", "charuco", "aprilgrid", "dots", "asymmetric-dots"]
 
 
 MOST_POINTS, LONGEST_SIDE = 20_000, 1000
 """Of a target: fine ones have some thousand points, and the memory of an adjustment grows with their number."""
+SMALLEST_GAP = 0.05  # between two tags, over the side of a tag: a corner needs some pixels of each gap
+LARGEST_ID = 2319  # of the largest of OpenCV's dictionaries, that of AprilTags 36h10
+APRILGRID_TAGS = "DICT_APRILTAG_36h11"  # Kalibr's only family
 
 
 @dataclass(frozen=True)
 class Target:
-    """A flat target whose points lie on a square lattice.
+    """A flat target whose points lie on a square lattice, of an AprilGrid in pairs.
 
     Attributes
     ----------
-    kind : "chessboard", "charuco", "dots" or "asymmetric-dots".
-    spacing_m : distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; dots: centre to
-        centre; asymmetric dots: distance of neighbouring rows, half that of dots in a row.
-    size : columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
-        (asymmetric: dots in a row, rows). None only for dots with three ring markers, which identify their neighbours.
+    kind : "chessboard", "charuco", "aprilgrid", "dots" or "asymmetric-dots".
+    spacing_m : distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; AprilGrid: the
+        side of a tag; dots: centre to centre; asymmetric dots: distance of neighbouring rows, half that of dots in a
+        row.
+    size : columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of an AprilGrid its
+        tags, of dots the dots (asymmetric: dots in a row, rows). None only for dots with three ring markers, which
+        identify their neighbours.
     dictionary : name of the ArUco dictionary, None (default) to find it.
+    tag_spacing : gap between two tags of an AprilGrid over the side of a tag, Kalibr's `tagSpacing`; None otherwise.
+    first_id : number of the first marker of a ChArUco board or an AprilGrid. Stated, markers that are not the board's
+        belong to others and are ignored; None (default): 0, and there are no others.
 
     Examples
     --------
@@ -42,19 +50,62 @@ class Target:
     spacing_m: float
     size: tuple[int, int] | None = None
     dictionary: str | None = None
+    tag_spacing: float | None = None
+    first_id: int | None = None
 
     def __post_init__(self) -> None:
         if not self.spacing_m > 0:
             raise ValueError(f"spacing_m: expected a length above 0, found {self.spacing_m}")
         if self.size is None and self.kind != "dots":
             raise ValueError(f"size: expected columns and rows of the {self.kind} target, found none")
+        self._check_tags()
         fewest = 3 if self.kind == "chessboard" else 2
         if self.size is not None and min(self.size) < fewest:
             least = f"at least {fewest} columns and rows of a {self.kind} target"
             raise ValueError(f"size: expected {least}, found {self.size[0]} x {self.size[1]}")
-        if self.size is not None and (max(self.size) > LONGEST_SIDE or self.size[0] * self.size[1] > MOST_POINTS):
+        if self.size is not None and (max(self.size) > LONGEST_SIDE or (self.points or 0) > MOST_POINTS):
             most = f"at most {LONGEST_SIDE} columns, {LONGEST_SIDE} rows and {MOST_POINTS} points"
             raise ValueError(f"size: expected {most}, found {self.size[0]} x {self.size[1]}")
+
+    def _check_tags(self) -> None:
+        """Raise `ValueError` for wrong properties of boards with markers."""
+        marked = self.kind in ("charuco", "aprilgrid")
+        if self.first_id is not None and not (marked and 0 <= self.first_id <= LARGEST_ID):
+            expected = f"a number from 0 to {LARGEST_ID}, of a target with markers"
+            raise ValueError(f"first_id: expected {expected}, found {self.first_id} of the {self.kind} target")
+        if self.kind != "aprilgrid":
+            if self.tag_spacing is not None:
+                raise ValueError(f"tag_spacing: expected none of the {self.kind} target, found {self.tag_spacing}")
+        elif self.tag_spacing is None or not SMALLEST_GAP <= self.tag_spacing <= 1:
+            found = "none" if self.tag_spacing is None else f"{self.tag_spacing:g}"
+            expected = f"the gap between two tags over the side of a tag, {SMALLEST_GAP:g} to 1"
+            raise ValueError(f"tag_spacing: expected {expected}, found {found}")
+        if self.kind == "aprilgrid" and self.dictionary not in (None, APRILGRID_TAGS):
+            raise ValueError(f"dictionary: expected {APRILGRID_TAGS} of an AprilGrid, found {self.dictionary}")
+
+    def lattice(self, index: IntArray | FloatArray) -> FloatArray:
+        """Return the positions (N, 2), in spacings, of points `index` (N, 2)."""
+        if self.tag_spacing is None:
+            return np.asarray(index, dtype=np.float64)
+        tag, corner = np.divmod(np.asarray(index), 2)
+        return np.asarray(tag * (1 + self.tag_spacing) + corner, dtype=np.float64)
+
+    def points_m(self, index: IntArray | FloatArray) -> FloatArray:
+        """Return positions (N, 3) in m, in the target's frame, of points `index` (N, 2)."""
+        return np.column_stack([self.lattice(index) * self.spacing_m, np.zeros(len(index))])
+
+    @property
+    def cell_m(self) -> float:
+        """Smallest distance of two neighbouring points."""
+        return self.spacing_m * (1.0 if self.tag_spacing is None else min(self.tag_spacing, 1.0))
+
+    @property
+    def points(self) -> int | None:
+        """Number of its points; None for dots with ring markers."""
+        if self.size is None:
+            return None
+        columns, rows = self.size
+        return {"charuco": (columns - 1) * (rows - 1), "aprilgrid": 4 * columns * rows}.get(self.kind, columns * rows)
 
     @property
     def length_m(self) -> float:
@@ -77,8 +128,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     Attributes
     ----------
     name : of the image.
-    index : (N, 2) column and row of each point in the target's lattice, each pair once, so that it lies at
-        spacing·(column, row, 0) in the target's frame.
+    index : (N, 2) column and row of each point in the target's lattice, each pair once; `Target.points_m` gives its
+        position in the target's frame, spacing·(column, row, 0) unless the target is an AprilGrid.
     position_px : (N, 2) sub-pixel positions: for corners the crossing itself, for dots the centre of the visible
         ellipse (`radius` > 0), which perspective displaces from the image of the dot's centre.
     covariance_px2 : (N, 2, 2) from the image's noise.
@@ -86,7 +137,9 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     blur_px : σ of the edges' blur, median over the points.
     size_px : (2,) width and height of the image.
     lost : number of points within the image that could not be measured.
-    loss_reasons : of these as text, "" for none.
+    loss_reasons : of these as text, "" for none; of a part of a target what is missing.
+    is_partial : Whether only a part of a target without markers is visible, so that `index` counts from an unknown
+        point of it; default False.
     """
 
     name: str
@@ -98,6 +151,7 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     size_px: IntArray
     lost: int = 0
     loss_reasons: str = ""
+    is_partial: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

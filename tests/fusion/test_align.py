@@ -53,7 +53,8 @@ from photogram.calibration.calibration_file import write_calibration, write_came
 from photogram.camera import triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.motion import fit_motion
-from photogram.synthetic.board import Board, render_board
+from photogram.synthetic.board import render_board
+from photogram.synthetic.patterns import Board
 from photogram.targets.target_view import TargetView
 
 DOC = (DOCS / "cameras.md").read_text(encoding="utf-8")

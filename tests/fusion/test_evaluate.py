@@ -40,7 +40,8 @@ from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
 from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.subsets.track import drop_rejected
-from photogram.synthetic.board import Board, random_poses, render_board
+from photogram.synthetic.board import random_poses, render_board
+from photogram.synthetic.patterns import Board
 from photogram.targets.target_view import Target
 
 DRIVEN = 2  # z, Fz

@@ -49,7 +49,12 @@ def drawn_block(seed: int) -> FollowedBlock:
         return Registration(rng.normal(size=(5, 6)), *rng.normal(size=(3, 5)), status, rng.integers(0, 9, 5))
 
     moved = RigidTransform.from_pose(rng.normal(size=6))
-    shapes = rng.normal(size=4), rng.normal(size=(4, 4))
+    shapes = (
+        rng.normal(size=4),
+        rng.normal(size=(4, 4)),
+        rng.normal(size=(2, 2)),
+        np.ones((seed % 2 * 9, 6), np.float32),
+    )
     fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7, *shapes), None]
     return tuple(((found(), found()) if fit is None else None, fit) for fit in fits)
 
@@ -61,7 +66,9 @@ def bits(block: FollowedBlock) -> list[bytes]:
         numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides or () for name in REGISTRATION]
         if fit is not None:
             parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise_ratio, fit.cells])
-            numbers += [part.tobytes() for part in (*parts, fit.amplitude, fit.amplitude_covariance)]
+            numbers += [
+                part.tobytes() for part in (*parts, fit.amplitude, fit.amplitude_covariance, fit.misfit, fit.scores)
+            ]
     return numbers
 
 

@@ -28,11 +28,12 @@ from fusion.simulate import simulate
 
 MANIFESTS = (Rig, RecordingFile, AlignmentFile, ElementFile, MeasuringChainFile)
 PATH_KEYS = {
-    "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "PointFiles.files",
+    "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "Images.displaced_left",
+    "Images.displaced_right", "PointFiles.files",
     "ExcitationEntry.file", "AlignmentFile.calibration", "OtherPair.calibration", "FaceBlock.pixels",
     "TargetViewBlock.left", "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left",
     "CommonView.other_right", "MotionBlock.recordings", "AxisBlock.recordings", "ElementFile.measured",
-    "ElasticMode.surface",
+    "ElasticMode.surface", "SensorOfCamera.dark", "SensorOfCamera.flat",
 }  # fmt: skip
 
 

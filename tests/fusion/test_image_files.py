@@ -155,6 +155,18 @@ def test_black_images_are_named(run, capsys):
     assert re.search("top right: .*dark", capsys.readouterr().out)
 
 
+def test_a_raw_colour_mosaic_is_named_and_left_out(run, capsys):
+    for path in (run / "top-left").glob("*.tif"):
+        grey = tifffile.imread(path)
+        mosaic = grey * np.tile([[1.0, 0.6], [0.5, 1.0]], (grey.shape[0] // 2, grey.shape[1] // 2))
+        tifffile.imwrite(path, np.rint(mosaic).astype(np.uint16))
+    report = check(load_manifest(run))
+    assert any(re.search("images top: left: .*raw mosaic of a colour camera", remark) for remark in report.remarks)
+    assert report.problems == ()
+    assert main(["look", str(run)]) == 1
+    assert re.search("top left: .*raw mosaic", capsys.readouterr().out)
+
+
 @pytest.mark.parametrize(("sides", "copies"), [(("right",), {1: 0, 8: 7}), (BOTH, dict.fromkeys(range(6, 24), 5))])
 def test_copies_of_earlier_frames_are_named_and_take_no_part(run, sides, copies):
     for side in sides:

@@ -42,7 +42,7 @@ from fusion.recording.rig import (
     TemperatureChange,
 )
 from fusion.recording.toml import expand_statements, uncertain_inputs
-from fusion.recording.values import SurfacePlane
+from fusion.recording.values import SensorOfCamera, SurfacePlane
 from photogram.calibration.calibration_file import read_calibration
 
 Campaign = Callable[..., Path]
@@ -186,6 +186,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[part]]`, in rig.toml or recording.toml": RigPart,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,
+    "`[stereo.NAME.left]` and `[stereo.NAME.right]`": SensorOfCamera,
     "`[stereo.NAME.surface]`": SurfacePlane,
     "`[head.NAME]`": InstrumentHead,
     "`[shaker]`, in rig.toml or recording.toml": Shaker,

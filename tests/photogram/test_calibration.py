@@ -25,7 +25,8 @@ from photogram.calibration.initial_bundle import estimate_target_pose, image_obs
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.targets.target_view import Target, TargetView
 
 SIZE = np.array([1280, 1024])
@@ -405,7 +406,7 @@ def test_a_bowed_target_is_found_where_it_is_asked_for():
     height = 2e-4 * (place[:, 0] / place[:, 0].max()) ** 2
     pairs = _views(rng, _poses(rng, 12), points=FLAT + np.column_stack([np.zeros((len(FLAT), 2)), height]))
     for kind in ("flat", "bowed", "free"):
-        assert np.array_equal(make_shape(kind, INDEX, SPACING).points_m, FLAT), "shapes start flat"
+        assert np.array_equal(make_shape(kind, INDEX, TARGET).points_m, FLAT), "shapes start flat"
     flat, bowed = (calibrate_pair(pairs, TARGET, shape) for shape in ("flat", "bowed"))
     assert flat.rms_px > 1.5 * bowed.rms_px
     assert bowed.sigma_factor == pytest.approx(1.0, abs=0.05)

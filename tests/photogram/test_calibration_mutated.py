@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_files import ros, write_all
+from posed_files import write_posed
 
 from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.calibration.exchange.exchange_files import import_calibration
@@ -94,7 +95,9 @@ def read(path: str) -> str:
     """Return what comes of a file: read, refused in one sentence of the file's name, or what must not be."""
     first, reads = Path(path), []
     ros = "ros" in first.name
-    if first.name.endswith("own.json"):
+    if first.parent.name == "posed":
+        reads = [lambda: read_posed(first)]
+    elif first.name.endswith("own.json"):
         reads = [lambda: read_calibration(first)]
     elif first.name.endswith("camera.json"):
         reads = [lambda: read_camera(first)]
@@ -113,6 +116,21 @@ def read(path: str) -> str:
         except BaseException as error:  # what must not be
             return f"{type(error).__name__}: {error!s:.200}"
     return "good"
+
+
+SECOND = {"colmap.bin": "images.bin", "colmap.txt": "images.txt", "mrcal": "right.mrcal"}
+FIRST = {second: first for first, second in SECOND.items()}
+
+
+def read_posed(path: Path) -> None:
+    """Read a file with cameras of `posed_files`, together with the second file that belongs to it."""
+    whole = path.parent.parent / "whole"
+    first = whole / FIRST[path.name] if path.name in FIRST else path
+    second = path if path.name in FIRST else whole / SECOND[path.name] if path.name in SECOND else None
+    try:
+        import_calibration(first, None, "m", second)
+    except ValueError as error:
+        raise ValueError(str(error).replace(str(first), str(path)).replace(str(second), str(path))) from error
 
 
 class Process:
@@ -189,3 +207,20 @@ def test_damaged_calibrations_are_read_or_refused_in_one_sentence(tmp_path, proc
     if count > 12 and (samples := request.getfixturevalue("data_dir") / "formats").is_dir():
         whole |= {name: (samples / name).read_bytes() for name in SAMPLES}
     assert not _damage(tmp_path, whole, process, count, seed=count)
+
+
+@pytest.mark.skipif(not hasattr(signal, "alarm"), reason="needs signals")
+@pytest.mark.parametrize("count", [12, pytest.param(200, marks=pytest.mark.slow)])
+def test_damaged_files_with_posed_cameras_are_read_or_refused_in_one_sentence(tmp_path, process, count):
+    whole, posed = tmp_path / "whole", tmp_path / "posed"
+    whole.mkdir()
+    posed.mkdir()
+    rng, wrong = np.random.default_rng(count), []
+    for name, content in write_posed(whole).items():
+        (posed / name).write_bytes(content)
+        read_posed(posed / name)
+        for trial in range(count):
+            (posed / name).write_bytes(_mutated(content, rng))
+            told = process.read(posed / name)
+            wrong += [f"{name} {trial}: {told}"] if told != "good" else []
+    assert not wrong

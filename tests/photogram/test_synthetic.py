@@ -9,7 +9,8 @@ from contracts import refused
 
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.synthetic.board import Board, random_poses, random_rig, render_board
+from photogram.synthetic.board import random_poses, random_rig, render_board
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import (
     Face,
     ImageSensor,

@@ -20,7 +20,8 @@ from photogram.calibration.bundle import model_pixels
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.noise import NoiseModel
-from photogram.synthetic.board import Board, render_board
+from photogram.synthetic.board import render_board
+from photogram.synthetic.patterns import Board
 from photogram.targets.chessboard import corner_view, lattice_bend
 from photogram.targets.crossing import NO_CROSSING, OUTSIDE, REASONS, SATURATED, CameraResponse, refine_corners
 from photogram.targets.dots import find_dots

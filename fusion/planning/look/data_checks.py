@@ -31,6 +31,7 @@ from fusion.planning.look.look_notices import (
     NO_SPECKLE,
     OTHER_LINE_DRIVEN,
     OVEREXPOSED,
+    PATTERN_COST,
     REPEATING_PATTERN,
     SIGNAL_DEFECT,
     SIGNAL_DRIFT,
@@ -42,6 +43,7 @@ from fusion.recording.manifest import ChannelEntry, Daq
 from fusion.recording.placement import main_direction
 from fusion.recording.transducer import TRANSDUCERS
 from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.images.sensor_pattern import SensorPattern
 from photogram.images.sequence import GreyImage, ImageSequence, clip_level, missing_pattern_reason
 from photogram.subsets.search import match_features
 from photogram.subsets.texture import (
@@ -255,6 +257,7 @@ LARGEST_PX = 400  # side of the images in which features are matched
 FEATURES = 2000  # of each image
 INLIER_PX, OFF_PX, FAR_OFF_PX = 3.0, 0.3, 1.0  # epipolar distance of a match; median for a warning; for an error
 FEWEST_MATCHES, FEWEST_ON_LINES = 20, 0.2  # matches for a check; least share of them on their epipolar lines
+NOTABLE_PATTERN = 5e-4  # relative shortening of small motions by a usual fixed pattern
 DARK_CODES = (DARK_IMAGES.code, DARK_FRAMES.code)
 
 
@@ -322,10 +325,10 @@ def _brightness(where: str, first: GreyImage, others: dict[int, GreyImage], full
         yield Finding("REPEAT", Notice(DARK_FRAMES, where, **counts))
 
 
-def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
-    """Return the position noise of a subset in px: √2·σ/√Σf_x², σ from second differences.
+def _noise_grey(image: GreyImage) -> float:
+    """Return the standard deviation of the noise of an image (H, W), from second differences.
 
-    The noise is by Immerkær's operator, which suppresses planes (Computer Vision and Image Understanding 64 (1996)
+    By Immerkær's operator, which suppresses planes (Computer Vision and Image Understanding 64 (1996)
     300), in the tenth of the image with the smallest values.
     """
     grey = image.astype(np.float64)
@@ -335,10 +338,37 @@ def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
     )  # fmt: skip
     tiles = rough[: rough.shape[0] // 16 * 16, : rough.shape[1] // 16 * 16]
     means = tiles.reshape(tiles.shape[0] // 16, 16, -1, 16).mean(axis=(1, 3))
-    sigma = float(np.sqrt(np.pi / 2) / 6 * np.quantile(means, 0.1))
-    slope = np.gradient(grey, axis=1)
+    return float(np.sqrt(np.pi / 2) / 6 * np.quantile(means, 0.1))
+
+
+def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
+    """Return the position noise of a subset in px: √2·σ/√Σf_x²."""
+    slope = np.gradient(image.astype(np.float64), axis=1)
     energy = float(np.mean(slope[area] ** 2)) * (2 * radius_px + 1) ** 2
-    return float(np.sqrt(2.0) * sigma / np.sqrt(max(energy, 1e-300)))
+    return float(np.sqrt(2.0) * _noise_grey(image) / np.sqrt(max(energy, 1e-300)))
+
+
+def pattern_cost(
+    where: str, seen: Sequence[CameraExamination], patterns: Sequence[SensorPattern], full_scale: int
+) -> Iterator[Finding]:
+    """Yield by how much the sensors' fixed pattern may shorten small motions.
+
+    The share γ·v/mean(f_x²) of the pattern's slopes in those of the image, with the pattern's variance v.
+    """
+    from photogram.bspline import grey_gradients, slope_noise_gain, spline_of_image
+
+    costs = []
+    for one, pattern in zip(seen, patterns, strict=True):
+        inside = one.image[one.area].astype(np.float64)
+        slopes = [part[one.area] for part in grey_gradients(spline_of_image(one.image))]
+        fixed = slope_noise_gain() * float(np.mean(pattern.variance(inside**2, full_scale)))
+        texture = float(np.mean(np.square(slopes))) - slope_noise_gain() * _noise_grey(one.image) ** 2
+        low, high = np.quantile(inside, (0.05, 0.95))
+        costs.append((fixed / max(texture, fixed), float((high - low) / (high + low)), pattern.prnu))
+    shortening, contrast, prnu = max(costs)
+    if shortening > NOTABLE_PATTERN:
+        values = {"contrast": contrast, "prnu_percent": 100.0 * prnu, "shortening_percent": 100.0 * shortening}
+        yield Finding("KEEP", Notice(PATTERN_COST, where, **values))
 
 
 @dataclass(frozen=True)

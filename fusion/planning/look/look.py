@@ -25,6 +25,7 @@ from fusion.planning.look.data_checks import (
     examine_pair,
     examine_trigger,
     fit_trigger_channel,
+    pattern_cost,
 )
 from fusion.planning.look.finding import (
     LEVEL_OF,
@@ -51,9 +52,11 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
 from fusion.recording.placement import main_direction
 from fusion.recording.transducer import TRANSDUCERS
+from fusion.recording.values import SensorOfCamera
 from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
+from photogram.images.sensor_pattern import stated_pattern
 from shaker.timebase.trigger import TriggerFit
 from shakercal._common.notices import Notice
 
@@ -248,6 +251,10 @@ def _look_at_images(
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
     if counts[0] != counts[-1] and not isinstance(images.first_edge, dict):
         found.append(Finding("REPEAT", Notice(CAMERAS_DIFFER_IN_FRAMES, where, left=counts[0], right=counts[1])))
+    stated = [entry or SensorOfCamera() for entry in (pair.left, pair.right)][: len(seen_by)]
+    if len(seen_by) == len(looks) and not any(one.dark or one.flat for one in stated):
+        known = [stated_pattern(one.prnu, one.dsnu) for one in stated]
+        found += pattern_cost(where, seen_by, known, sequences[0].full_scale)
     if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
     left, right = seen_by

@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,16 @@ from photogram.calibration.exchange.lens import (
     fit_camera,
     pixel_grid,
 )
+from photogram.calibration.exchange.posed import (
+    is_colmap,
+    is_metashape,
+    is_mrcal,
+    is_toml_of_cameras,
+    read_colmap,
+    read_metashape,
+    read_mrcal,
+    read_toml_cameras,
+)
 from photogram.calibration.exchange.vision import (
     parse_json,
     read_bouguet,
@@ -53,7 +63,10 @@ _LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have 
 _LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: such a file has only a calibration
 _DEEPEST = 64  # lists within lists: the readers are recursive
 _QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
-_PROGRAMS = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
+_PROGRAMS = (
+    "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr, COLMAP, mrcal, anipose, caliscope "
+    "or Metashape"
+)
 _MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of an array that is read
 _LONGEST_SENTENCE = 400  # of an error, which may quote the file
 
@@ -100,6 +113,7 @@ def import_calibration(
     extrinsics: str | Path | None = None,
     even_radial: bool = False,
     distortion_model: DistortionModel | None = None,
+    cameras: tuple[str, str] | None = None,
 ) -> ImportedCalibration:
     """Import the stereo pair of another program's calibration file.
 
@@ -112,11 +126,13 @@ def import_calibration(
     length_unit
         Unit of lengths, for OpenCV's files, and instead of the usual unit of a format; default None.
     extrinsics
-        Second file, of OpenCV's sample program or of ROS (right camera); default None.
+        Second file, of OpenCV's sample program, of ROS or mrcal (right camera) or of COLMAP (images); default None.
     even_radial
         k1 k2 k3 of DICe's text are those of r², r⁴, r⁶; default False.
     distortion_model
         Model of four coefficients of OpenCV's files; default None.
+    cameras
+        Names of the left and the right one, of files with more than two; default None.
 
     Returns
     -------
@@ -144,11 +160,12 @@ def import_calibration(
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
     with _one_sentence(path), np.errstate(all="ignore"):  # extreme numbers: their results are checked
         second = None if extrinsics is None else _second(Path(extrinsics))
-        stated = _read(path, second, even_radial, distortion_model)
+        stated = _read(path, _Options(second, even_radial, distortion_model, cameras))
         for name, given, formats in (
-            ("extrinsics", second is not None, ("OpenCV", "ROS")),
+            ("extrinsics", second is not None, ("OpenCV", "ROS", "COLMAP", "mrcal")),
             ("even_radial", even_radial, ("DICe",)),
             ("distortion_model", distortion_model is not None, ("OpenCV",)),
+            ("cameras", cameras is not None, ("COLMAP", "anipose", "caliscope", "Metashape")),
         ):
             if given and stated.format not in formats:
                 raise ValueError(f"{name}: expected a file of {' or '.join(formats)}, found one of {stated.format}")
@@ -173,18 +190,46 @@ def _one_sentence(path: Path) -> Iterator[None]:
         raise ValueError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
 
-def _second(path: Path) -> str:
-    """Return the text of the second file."""
+@dataclass(frozen=True)
+class _SecondFile:
+    """The second file: its path and content."""
+
+    path: Path
+    content: bytes
+
+    @property
+    def text(self) -> str:
+        """Its text, checked for depth."""
+        with _one_sentence(self.path):
+            try:
+                text = self.content.decode("utf-8-sig")
+            except UnicodeDecodeError as error:
+                raise ValueError("expected a text, found other bytes") from error
+            if text.lstrip().startswith("<"):
+                parse_xml(self.content)  # checks its depth
+                return text
+            return _text(text)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Arguments of `import_calibration` for the readers."""
+
+    second: _SecondFile | None
+    even_radial: bool
+    model: DistortionModel | None
+    cameras: tuple[str, str] | None
+
+    @property
+    def second_text(self) -> str | None:
+        """Text of the second file, None without one."""
+        return None if self.second is None else self.second.text
+
+
+def _second(path: Path) -> _SecondFile:
+    """Return the second file."""
     with _one_sentence(path):
-        content = _content(path)
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError("expected a text, found other bytes") from error
-        if text.lstrip().startswith("<"):
-            parse_xml(content)  # checks its depth
-            return text
-        return _text(text)
+        return _SecondFile(path, _content(path))
 
 
 @contextmanager
@@ -252,46 +297,58 @@ def _array(name: str, content: bytes) -> Any:
     return array.tolist() if array.size <= _LONGEST_ARRAY else None
 
 
-def _read(path: Path, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
+def _read(path: Path, options: _Options) -> StatedCalibration:
     """Return the content of a file of any known format."""
     arrays = _arrays(path) if path.is_file() else None
     if arrays is not None:
-        return read_opencv(arrays, second, model)
+        return read_opencv(arrays, options.second_text, options.model)
     content = _content(path)
     if content.startswith((b"MATLAB 5.0", b"MATLAB 7.3")):
         return read_mat(path)
+    if is_colmap(content):
+        images = None if options.second is None else options.second.content
+        return read_colmap(content, images, options.cameras)
+    return _read_text(content, options)
+
+
+def _read_text(content: bytes, options: _Options) -> StatedCalibration:
+    """Return the content of a text of any known format."""
     text = content.decode("utf-8-sig", errors="replace")
     if text.lstrip().startswith("<"):
-        stated = _read_xml(content, even_radial)
-        return stated if stated is not None else read_opencv(text, second, model)
+        stated = _read_xml(content, options)
+        return stated if stated is not None else read_opencv(text, options.second_text, options.model)
     _text(text)
+    if is_mrcal(text):
+        return read_mrcal(text, options.second_text)
     if not text.lstrip().startswith("{") and not text.startswith("%YAML") and len(text) > _LARGEST_TEXT:
         raise ValueError(f"expected a text of at most {_LARGEST_TEXT >> 20} MB, found {len(text)} characters")
     if text.lstrip().startswith("{"):
-        return _read_json(text, second, model)
-    return _read_lines(text, second, even_radial, model)
+        return _read_json(text, options)
+    if is_toml_of_cameras(text):
+        return read_toml_cameras(text, options.cameras)
+    return _read_lines(text, options)
 
 
-def _read_json(text: str, second: str | None, model: DistortionModel | None) -> StatedCalibration:
+def _read_json(text: str, options: _Options) -> StatedCalibration:
     """Return the content of a JSON file."""
     values = parse_json(text)
     if "CameraParameters1" in values:
         return read_matlab(values)
     if values.get("format") == 1 and "rotation" in values:
         raise ValueError("expected another program's calibration, found one of this program, which needs no import")
-    return read_opencv(text, second, model)
+    return read_opencv(text, options.second_text, options.model)
 
 
-def _read_lines(text: str, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
+def _read_lines(text: str, options: _Options) -> StatedCalibration:
     """Return the content of a YAML file or another text."""
     if re.search(r"^cam\d+:\s*$", text, re.MULTILINE):
         return read_kalibr(text)
     of_a_pair = text.startswith("%YAML") or re.search(r"^(R|T|rotation|translation)\w*:", text, re.MULTILINE)
     alone = "projection_matrix" if of_a_pair else "distortion_model|projection_matrix"
     if re.search(f"^({alone}):", text, re.MULTILINE):
-        return read_ros(text, second)
+        return read_ros(text, options.second_text)
     if text.startswith("%YAML"):
-        return read_opencv(text, second, model)
+        return read_opencv(text, options.second_text, options.model)
     for is_it, read in ((lambda text: "fc_left" in text, read_bouguet), (is_matchid, read_matchid)):
         if is_it(text):
             return read(text)
@@ -299,13 +356,13 @@ def _read_lines(text: str, second: str | None, even_radial: bool, model: Distort
     if not lines:
         raise ValueError("the file is empty")
     if re.match(r"---(\s|$)|[^\W\d][\w. -]*:(\s|$)", lines[0]):
-        return read_opencv(text, second, model)
+        return read_opencv(text, options.second_text, options.model)
     if not any(character.isdigit() for character in lines[0].split("#")[0]):
         raise ValueError(f"expected a calibration of {_PROGRAMS}, found {lines[0][:40]!r}")
-    return read_dice_text(text, even_radial)
+    return read_dice_text(text, options.even_radial)
 
 
-def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
+def _read_xml(content: bytes, options: _Options) -> StatedCalibration | None:
     """Return the content of an XML file, None if it is OpenCV's."""
     notices: tuple[Notice, ...] = ()
     try:
@@ -316,11 +373,15 @@ def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
             raise
         root, notices = parts, (Notice(MALFORMED_XML, "content"),)
     if root.tag == "parameterlist":
-        return read_dice_xml(root, even_radial)
+        return read_dice_xml(root, options.even_radial)
+    if is_metashape(root):
+        return read_metashape(root, options.cameras)
     if next(root.iter("camera"), None) is not None and root.tag != "opencv_storage":
         return replace(stated := read_vic3d(root), notices=(*notices, *stated.notices))
     if root.tag != "opencv_storage":
-        raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag[:40]}>")
+        raise ValueError(
+            f"expected XML of OpenCV, DICe, VIC-3D or Metashape, found one that begins with <{root.tag[:40]}>"
+        )
     return None
 
 
@@ -469,7 +530,7 @@ def _without(
     start = camera.parameters
     indices = [CAMERA_PARAMETERS.index(name) for name in missing]
     if not start[indices].any():
-        return NearestCamera(camera, np.zeros(3), 0.0)
+        return NearestCamera(camera, np.zeros(3), 0.0, 0.0)
     found = ", ".join(
         f"{name} = {start[index]:.3g}" for name, index in zip(missing, indices, strict=True) if start[index]
     )

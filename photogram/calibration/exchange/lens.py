@@ -27,14 +27,15 @@ from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)
 """Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
-_GRID = 21  # points along each side of the image for the comparison of two cameras
+_GRID = 41  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
+_TANGENTIAL_STEPS = 20  # the same for a fisheye lens's tangential terms, of some 1e-3
 _INVERTED_PX = 1e-6  # residual of the inverse that ends the steps
 _ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3; angular 4"):
+class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial K; tangential 2; divisor 3; angular 4"):
     """A pinhole camera with skew, radial and tangential distortion.
 
     With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)): x_d =
@@ -42,7 +43,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     With `angular` (4,), for a fisheye lens, g is θ_d/r, with θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
     k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 1335; OpenCV's
-    `fisheye`, "equidistant" of ROS and Kalibr).
+    `fisheye`, "equidistant" of ROS and Kalibr). Its tangential terms are those of (x, y)·θ/r, as Metashape's.
     """
 
     focal_px: FloatArray
@@ -50,7 +51,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
     radial: FloatArray = field(default_factory=lambda: np.zeros(3))
     tangential: FloatArray = field(default_factory=lambda: np.zeros(2))
     skew_px: float = 0.0
-    exponents: tuple[int, int, int] = EVEN
+    exponents: tuple[int, ...] = EVEN
     divisor: FloatArray = field(default_factory=lambda: np.zeros(3))
     angular: FloatArray | None = None
 
@@ -75,7 +76,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
     @property
     def parameters(self) -> FloatArray:
         """Vector (13,) of `CAMERA_PARAMETERS`, for any exponents."""
-        k1, k2, k3 = self.radial
+        k1, k2, k3 = self.radial[:3]
         return np.array([*self.focal_px, *self.centre_px, k1, k2, *self.tangential, k3, *self.divisor, self.skew_px])
 
     def project(self, normalised: FloatArray) -> FloatArray:
@@ -88,11 +89,17 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
         else:
             factor = fisheye_radius(np.arctan(radius), self.angular) / np.where(radius > 0, radius, 1.0)
             factor = np.where(radius > 0, factor, 1.0)
-        p1, p2 = self.tangential
-        x_d = factor * x + 2 * p1 * x * y + p2 * (radius**2 + 2 * x**2)
-        y_d = factor * y + p1 * (radius**2 + 2 * y**2) + 2 * p2 * x * y
+        x_d, y_d = (factor[:, None] * normalised + self.decentring(normalised)).T
         pixel = np.stack([self.focal_px[0] * x_d + self.skew_px * y_d, self.focal_px[1] * y_d], axis=1)
         return np.asarray(pixel + self.centre_px)
+
+    def decentring(self, normalised: FloatArray) -> FloatArray:
+        """Return the tangential distortion (N, 2) at normalised coordinates (N, 2)."""
+        radius, (p1, p2) = np.linalg.norm(normalised, axis=1), self.tangential
+        angle = radius if self.angular is None else np.arctan(radius)
+        x, y = normalised.T * (angle / np.where(radius > 0, radius, 1.0))
+        square = x * x + y * y
+        return np.column_stack([2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y])
 
 
 def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
@@ -105,26 +112,31 @@ class NearestCamera:
     """The camera nearest to a lens, in a rotated frame, with the largest difference.
 
     `turn` (3,): rotation vector in rad of that frame. `largest_px`: largest difference over the image.
+    `largest_scale`: largest derivative of the difference by the pixel, the relative error of small displacements.
     """
 
     camera: Camera
     turn: FloatArray
     largest_px: float
+    largest_scale: float
 
 
 def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
     """Return the least-squares camera for a lens over the image.
 
-    A lens of this program's form is used unchanged. Another radial polynomial is approximated by this one, together
-    with the matrix; a fisheye lens by the rational model.
+    A lens of this program's form is used unchanged. A radial polynomial in other powers is approximated by this one,
+    together with the matrix; one with more powers, and a fisheye lens, by the rational model.
     """
     if lens.is_exact:
-        return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
+        return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0, 0.0)
     start = lens.parameters
     if lens.angular is not None:
         normalised = _seen_by_fisheye(lens, lens.angular, size_px)
-        return fit_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
+        free = (*RADIAL, *DIVISOR, *(("cx", "cy", "p1", "p2") if lens.tangential.any() else ()))
+        return fit_camera(lens.project(normalised), normalised, start, free, size_px)
     normalised = _seen(lens, size_px)
+    if lens.exponents[: len(EVEN)] == EVEN:
+        return fit_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
     start[[4, 5, 8]] = 0.0
     start[:2] *= 1.0 + sum(k for k, power in zip(lens.radial, lens.exponents, strict=True) if power == 0)
     return fit_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
@@ -140,7 +152,8 @@ def fit_camera(
 ) -> NearestCamera:
     """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2).
 
-    Parameters (13,) begin at `start`. `free` names the fitted ones and components of the rotation about x, y, z.
+    The pixels are those of `pixel_grid`. Parameters (13,) begin at `start`. `free` names the fitted ones and components
+    of the rotation about x, y, z.
     """
     from scipy.optimize import least_squares
 
@@ -153,7 +166,7 @@ def fit_camera(
     powers = {"k1": 3, "k2": 5, "k3": 7, "k4": 3, "k5": 5, "k6": 7, "x": 0, "y": 0, "z": 1}
     steps = np.array(
         [
-            {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers[name])
+            {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers.get(name, 2))
             for name in free
         ]
     )
@@ -169,7 +182,11 @@ def fit_camera(
 
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
-    return NearestCamera(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
+    left = difference(fit)
+    steps_px = (size_px - 1.0) / (_GRID - 1)
+    slopes = np.gradient(left.reshape(_GRID, _GRID, 2), *steps_px[::-1], axis=(0, 1), edge_order=2)
+    scale = np.linalg.norm(np.stack(slopes, axis=-1), ord=2, axis=(2, 3))
+    return NearestCamera(*moved(fit), float(np.linalg.norm(left, axis=1).max()), float(scale.max()))
 
 
 def pixel_grid(size_px: IntArray) -> FloatArray:
@@ -203,8 +220,16 @@ def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) ->
     if not radius.max() <= table[growing]:
         expected = f"a field of view of at most {np.degrees(angle[growing]):.0f} degrees off the axis"
         raise ValueError(f"distortion: expected {expected}, the range of the fisheye model's inverse, found more")
-    theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
-    return np.asarray(distorted * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
+
+    def undistorted(target: FloatArray) -> FloatArray:
+        radius = np.linalg.norm(target, axis=1)
+        theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
+        return np.asarray(target * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
+
+    normalised = undistorted(distorted)
+    for _ in range(_TANGENTIAL_STEPS if lens.tangential.any() else 0):
+        normalised = undistorted(distorted - lens.decentring(normalised))
+    return normalised
 
 
 # Conversion of a file's content to a stereo rig: units, inexact rotations, differences of camera models.
@@ -228,6 +253,7 @@ REMARKABLE_PX = 0.05  # difference between the file's camera and this program's 
 NEAR_M, FAR_M = 1e-3, 20.0  # usual distances of two cameras; others suggest a wrong unit
 _DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, of points in a common field of view
 UNUSABLE_PX = 0.5  # and for a refusal
+REMARKABLE_SCALE, UNUSABLE_SCALE = 1e-3, 1e-2  # the same of the error of small displacements
 SIDES = ("left", "right")
 
 
@@ -384,11 +410,14 @@ def _times(size: tuple[int, int]) -> str:
 
 def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
     """Return a notice of an approximated camera; `ValueError` for a large difference."""
-    if not nearest.largest_px <= UNUSABLE_PX:
-        expected = f"a camera without {beyond} that differs by at most {UNUSABLE_PX} px over the image"
-        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px")
-    declared = POORLY_APPROXIMATED_CAMERA if nearest.largest_px > REMARKABLE_PX else APPROXIMATED_CAMERA
-    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px)
+    percent = 100 * nearest.largest_scale
+    if not (nearest.largest_px <= UNUSABLE_PX and nearest.largest_scale <= UNUSABLE_SCALE):
+        limits = f"at most {UNUSABLE_PX} px and {100 * UNUSABLE_SCALE:g} % of small displacements over the image"
+        expected = f"a camera without {beyond} that differs by {limits}"
+        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px and {percent:.2g} %")
+    remarkable = nearest.largest_px > REMARKABLE_PX or nearest.largest_scale > REMARKABLE_SCALE
+    declared = POORLY_APPROXIMATED_CAMERA if remarkable else APPROXIMATED_CAMERA
+    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px, percent=percent)
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:

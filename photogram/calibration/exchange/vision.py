@@ -76,7 +76,9 @@ def read_opencv(
         values |= _values(extrinsics)
     matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
     model = _model(values, model)
-    left, right = (_lens(matrix, distortion, model) for matrix, distortion in zip(matrices, distortions, strict=True))
+    left, right = (
+        read_lens(matrix, distortion, model) for matrix, distortion in zip(matrices, distortions, strict=True)
+    )
     sizes = _sizes(values)
     name, value = _one(values, _ROTATIONS, "rotation R")
     is_vector = np.size(np.asarray(value, dtype=object)) == 3
@@ -205,7 +207,7 @@ def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
     raise ValueError(f"expected the {what} from the first to the second camera, found none: is it in a second file?")
 
 
-def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: DistortionModel | None) -> Lens:
+def read_lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: DistortionModel | None) -> Lens:
     """Return one camera's lens; four coefficients need a model."""
     name, value = matrix
     k = parse_numbers(name, value, (3, 3))
@@ -224,9 +226,10 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
         raise ValueError(f"distortion_model: expected plumb_bob or fisheye, found none for {found}")
     for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
         if coefficient != 0:
+            of = "a tilted sensor (Scheimpflug)" if label.startswith("tau") else "a thin prism"
             raise ValueError(
-                f"{name}: expected the distortion k1 k2 p1 p2 k3 k4 k5 k6, found {label} = {coefficient:g} of a larger "
-                "model; calibrate without it"
+                f"{name}: expected the distortion k1 k2 p1 p2 k3 k4 k5 k6, found {label} = {coefficient:g} of {of}; "
+                "calibrate without it"
             )
     k1, k2, p1, p2, k3, *divisor = np.concatenate([coefficients, np.zeros(4)])[:8]
     radial, tangential = np.array([k1, k2, k3]), np.array([p1, p2])
@@ -309,7 +312,7 @@ def read_ros(text: str, second: str | None) -> StatedCalibration:
         lengths, model = _ROS_MODELS[kind]
         if (length := np.size(np.asarray(distortion[1], dtype=object))) not in lengths:
             raise ValueError(f"{distortion[0]}: expected {lengths[0]} coefficients for {kind}, found {length}")
-        lenses.append(_lens(matrix, distortion, model))
+        lenses.append(read_lens(matrix, distortion, model))
         for key, value in _reduced(content):
             expected = "the value of full-size images, to which camera_matrix refers"
             raise ValueError(f"{side} {key}: expected {expected}, found {value:g}")
