@@ -192,7 +192,7 @@ def find_shifts(model: ShiftModel, noise: float) -> IntArray:
 
 
 def _may_be_unsteady(model: ShiftModel, found: IntArray, power: float) -> bool:
-    """Return whether a motion that changes over the record explains shifts of all cameras as well."""
+    """Return whether a motion that changes over the record explains shifts as well."""
     if (found != found[0]).any():
         return False
     none = np.zeros_like(found)
