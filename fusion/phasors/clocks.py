@@ -158,7 +158,8 @@ def tie_clocks_by_motion(
     renewed = []
     for measured in motions:
         sight = measured.sight
-        renewed_sight = frame_sight(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
+        first = int(sight.edge[0])
+        renewed_sight = frame_sight(manifest, tied, entries[sight.name], sight.edge - first, first_edge=first)
         sight = replace(sight, time_s=renewed_sight.time_s, model_share=renewed_sight.model_share)
         renewed.append(replace(measured, sight=sight))
     return tied, tuple(renewed), lines

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,6 @@ from fusion.instruments.stereo import CALIBRATION, PATTERN, PERIODIC, SURFACE
 from fusion.phasors.pattern_effects import PatternReading
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
-    CAMERA_DELAYED,
-    CAMERAS_OUT_OF_STEP,
     NO_RIGID_MOTION,
     UNEQUAL_FRAMES,
 )
@@ -24,8 +21,6 @@ from photogram.camera import (
     CAMERA_PARAMETERS,
     FaceCamera,
     Rig,
-    StereoRig,
-    epipolar_residual,
     locate,
     principal_components,
 )
@@ -55,13 +50,11 @@ def image_effects(
     frequency_hz: FloatArray,
     usable: NDArray[np.bool_],
     gain: FloatArray,
-    notices: list[Notice],
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return effects of calibration, pixel grid and fixed pattern on phasors and shapes.
 
-    On phasors NaN at lines not `usable`; on amplitudes of shapes at the usable ones. Warnings of cameras that are not
-    synchronous are added to `notices`. For a single camera also the effects of the stated surface, and of the pose
-    through it (THROUGH).
+    On phasors NaN at lines not `usable`; on amplitudes of shapes at the usable ones. For a single camera also the
+    effects of the stated surface, and of the pose through it (THROUGH).
     """
     sums, means = None, tuple(RunningMean() for _ in view.rig.camera_poses)
     for block in view.tracks:
@@ -75,11 +68,8 @@ def image_effects(
     assert sums is not None
     mean_positions = [running.mean for running in means]
     frames = list[FloatArray]()
-    # Without a covariance only the comparison of the cameras needs the displacement of each subset.
-    with suppress(ComputeError) if view.rig.covariance is None else nullcontext():
+    if view.rig.covariance is not None:
         frames = _phasor_frames(sums, len(measured.points_time_s), measured.sight.name)
-    if frames and isinstance(view.rig, StereoRig):
-        notices += check_in_step(view.rig, frames, frequency_hz, measured.sight.time_s)
     of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
     periodic, periodic_of_shapes = _periodic_effects(measured, view, mean_positions, bias_px, len(frequency_hz))
     changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}
@@ -315,59 +305,3 @@ def _frame_variance(time_s: FloatArray, motion: RigidMotion, fit: SineFit) -> Fl
             for one in (np.ones(len(square)), size[usable])
         )
     return size if np.ptp(np.log(size[usable])) > np.log(MIN_VARIANCE_RATIO) and separate < equal else None
-
-
-# Cameras of a pair that were not exposed at the same time.
-
-LATE_RAD, LATE_U = 0.01, 5.0
-"""Phase between the cameras above which it is reported, and the same in standard uncertainties (chosen)."""
-FRAME_PHASE_TOLERANCE = 0.05
-"""Largest difference in rad of a lag from whole frames: different frames at either end (chosen)."""
-MOST_FRAMES = 5
-EQUAL = 0.2
-"""Relative difference of the two cameras' motion across the epipolar lines that no lag explains."""
-
-
-def check_in_step(
-    rig: StereoRig, frames: Sequence[FloatArray], frequency_hz: FloatArray, time_s: FloatArray
-) -> tuple[Notice, ...]:
-    """Return a warning if one camera is delayed; raise `ComputeError` if by whole frames.
-
-    Across the epipolar lines both cameras measure the same motion. With phasors a of n_left · L and b of n_right · R of
-    the subsets, n being the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ.
-    Hence exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each
-    phasor.
-    """
-    (left, right), (_, by_left, by_right) = frames, epipolar_residual(rig, *(side[0] for side in frames))
-
-    def across(side: FloatArray, by: FloatArray) -> ComplexArray:
-        moved = side[1:] - side[0]
-        return np.asarray(np.einsum("ni,kni->kn", by, moved[0::2] + 1j * moved[1::2]))
-
-    a, b = across(left, by_left), across(right, by_right)
-    k = int(np.argmax(np.sum(np.abs(b) ** 2, axis=1)))
-    power = float(np.sum(np.abs(b[k]) ** 2))
-    z = -complex(np.sum(a[k] * b[k].conj())) / power if power > 0.0 else 0.0
-    if abs(abs(z) - 1.0) > EQUAL:
-        return ()
-    phase = float(np.angle(z))
-    u = float(np.sqrt(np.sum(np.abs(a[k] + b[k] * z / abs(z)) ** 2) / (2.0 * len(a[k]) * power)))
-    if abs(phase) <= max(LATE_RAD, LATE_U * u):
-        return ()
-    omega, period_s = 2.0 * np.pi * float(frequency_hz[k]), float(np.min(np.diff(time_s)))
-    for count in sorted((n for n in range(-MOST_FRAMES, MOST_FRAMES + 1) if n), key=abs):
-        distance = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
-        if distance < min(FRAME_PHASE_TOLERANCE, abs(phase) / 2.0):
-            late, early = ("right", "left") if count > 0 else ("left", "right")
-            delay_ms = 1e3 * abs(count) * period_s
-            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, frames=abs(count), delay_ms=delay_ms)
-    notice = Notice(
-        CAMERA_DELAYED,
-        "exposure",
-        late="right" if phase > 0.0 else "left",
-        delay_us=1e6 * abs(phase) / omega,
-        phase_mrad=1e3 * abs(phase),
-        frequency_hz=frequency_hz[k],
-        u_mrad=1e3 * u,
-    )
-    return (notice,)

@@ -193,8 +193,8 @@ FRAME_NUMBERS_SHIFTED = DeclaredNotice(
     "warning",
     "The file numbers begin with {first} ({first_camera}) and {second} ({second_camera}).",
     effect="Frames are paired in their order. If equal numbers belong to one edge, one camera is late.",
-    remedy="Check which frames belong together.",
-    link="clocks.md",
+    remedy="Check which frames belong together, and state `first_edge` of each camera if these are others.",
+    link="cameras.md#frames-of-other-edges",
 )
 FRAME_NUMBER_GAP = DeclaredNotice(
     "SC-423",
@@ -292,10 +292,38 @@ PAIR_DECALIBRATED = DeclaredNotice(
 CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "SC-434",
     "error",
-    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}).",
+    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}). To state it: {stated}"
+    "{alike}.",
     effect="The images of the two cameras do not belong together.",
-    remedy="Check the trigger of both cameras and the numbers of their files.",
-    link="shutter.md",
+    remedy="If one camera began to save earlier, state this key; other instruments show which camera is right. "
+    "Otherwise check the trigger of both.",
+    link="cameras.md#frames-of-other-edges",
+)
+FRAMES_OUT_OF_ORDER = DeclaredNotice(
+    "SC-515",
+    "error",
+    "Frames were lost or repeated: {changes} (frames from 0). To state it: {stated}{alike}.",
+    effect="These frames show the body at other edges of the trigger than assumed.",
+    remedy="If the recorder lost or repeated frames there, state this key.",
+    link="cameras.md#frames-of-other-edges",
+)
+ROWS_INTERLACED = DeclaredNotice(
+    "SC-517",
+    "error",
+    "Odd and even rows of the {side} camera are exposed at different times: they differ by {distance_px:.2g} px (rms) "
+    "while the body moves by {moved_px:.2g} px.",
+    effect="The camera is interlaced. Amplitude and phase are those of neither half of the rows.",
+    remedy="Record all rows at once (progressive), or save each half as an image with its own instants.",
+    link="cameras.md#interlaced-rows",
+)
+FRAMES_OF_OTHER_EDGES = DeclaredNotice(
+    "SC-516",
+    "warning",
+    "The pair agrees with {instruments} if its frames belong to edges that are {side} by {count} (a phase of "
+    "{phase_mrad:.3g} mrad at {frequency_hz:.6g} Hz). To state it: {stated}.",
+    effect="The instruments contradict each other. A wrong edge turns the phase of the pair.",
+    remedy="Check which edge belongs to the first frame.",
+    link="cameras.md#frames-of-other-edges",
 )
 CAMERA_DELAYED = DeclaredNotice(
     "SC-435",

@@ -24,7 +24,15 @@ from fusion.phasors.channel_phasors import (
     line_strength,
 )
 from fusion.phasors.clocks import refine_ties, tie_clocks_by_motion
-from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
+from fusion.phasors.phasor_notices import (
+    CAMERAS_OUT_OF_STEP,
+    FRAMES_OUT_OF_ORDER,
+    HARMONIC_UNRESOLVED,
+    NO_INSTRUMENT,
+    ROWS_INTERLACED,
+    TAKES_REFUSED,
+    TIME_STAMP_GAP,
+)
 from fusion.phasors.steadiness import delay_notices, distortions, enlarge_doubted, folding_notices, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
@@ -43,6 +51,7 @@ from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -168,8 +177,13 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
     from fusion.phasors.stereo_phasors import pairs_phasors
 
     manifest, base = prepared.manifest, prepared.base
+    lines_hz = (
+        np.array(manifest.excitation.frequencies or ()) if prepared.lines is None else prepared.lines.frequency_hz
+    )
     seen = [
-        item if isinstance(item, RejectedPair) or any(item.sight.pair.row_time) else reject_decalibrated(item)
+        item
+        if isinstance(item, RejectedPair) or any(item.sight.pair.row_time)
+        else _as_stated(item, lines_hz, prepared.images)
         for item in followed
     ]
     left_out = [item for item in seen if isinstance(item, RejectedPair)]
@@ -182,7 +196,12 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         prepared, motions, lines = _tied(prepared, motions, prepared.lines)
         base = prepared.base
         clock = line_clock(base)
-    checked = [reject_decalibrated(refine_rolling_shutter(item, prepared.images, lines)) for item in motions]
+    checked = [
+        _as_stated(refine_rolling_shutter(item, prepared.images, lines), lines_hz, ())
+        if any(item.sight.pair.row_time)
+        else reject_decalibrated(item)
+        for item in motions
+    ]
     left_out += [item for item in checked if isinstance(item, RejectedPair)]
     motions = tuple(item for item in checked if isinstance(item, StereoMotion))
     _check_left(prepared, motions, left_out)
@@ -194,6 +213,22 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
     readings = enlarge_doubted(prepared.readings, changes, distortions(prepared.channels, lines))
     rejections = tuple(item.notice for item in left_out)
     return MeasuredSetUp(replace(prepared, readings=readings), lines, stereo, (*rejections, *aliased))
+
+
+def _as_stated(
+    motion: StereoMotion, frequency_hz: FloatArray, images: Sequence[PreparedImages]
+) -> StereoMotion | RejectedPair:
+    """Return the motion, or the rejected pair whose cameras are not as stated.
+
+    The rows of `images` are compared.
+    """
+    from fusion.phasors.frame_order import check_frame_order, check_rows  # here, for `check` follows no images
+
+    checked = check_frame_order(motion, frequency_hz)
+    for item in images:
+        if item.sight.name == motion.sight.name and isinstance(checked, StereoMotion):
+            checked = check_rows(checked, item)
+    return checked if isinstance(checked, RejectedPair) else reject_decalibrated(checked)
 
 
 def _tied(
@@ -210,7 +245,11 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
     """Raise the error of the first rejected pair if no other instrument measures a motion."""
     if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in prepared.readings):
         error = left_out[0].error
-        if isinstance(error, InputError):
+        if isinstance(error, InputError) or error.declared in (
+            CAMERAS_OUT_OF_STEP,
+            FRAMES_OUT_OF_ORDER,
+            ROWS_INTERLACED,
+        ):
             raise error
         raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence.rstrip('.')}")
 

@@ -27,7 +27,7 @@ from fusion.phasors.phasor_notices import (
     PAIR_REJECTED,
     SINGLE_CAMERA_NOT_ASSESSED,
 )
-from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight, lines_not_found_error
+from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight, lines_not_found_error, shared_edges
 from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
@@ -51,7 +51,7 @@ from shaker.sine.aliasing import usable_lines
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -233,10 +233,16 @@ def prepare_images(
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = cached.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
             sequences.append(sequence)
+    chosen, stated = list[IntArray](), isinstance(entry.first_edge, dict)
+    if stated:
+        numbering, counts = [images.numbers for images in sequences], [len(images) for images in sequences]
+        edges, chosen = shared_edges(manifest, base, entry, numbering, counts)
+        sequences = [images.select(frames) for images, frames in zip(sequences, chosen, strict=True)]
+        entry = entry.model_copy(update={"first_edge": int(edges[0])})
     left = sequences[0]
     for other in sequences[1:]:
         if len(left) != len(other):
-            found, expected = f"{len(other)} images", f"{len(left)} as on the left"
+            found, expected = f"{len(other)} images", f"{len(left)} as on the left, or `first_edge` of each camera"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.right", found=found, expected=expected)
     if len(left) < MINIMUM_FRAMES:
         found, expected = f"{len(left)} in {entry.left[0].name}", f"at least {MINIMUM_FRAMES} frames"
@@ -244,8 +250,9 @@ def prepare_images(
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     numbers = {side: images.numbers for (side, _), images in zip(entry.cameras, sequences, strict=True)}
-    edges, remarks = frame_edges(manifest, base, entry, numbers, len(left))
+    edges, remarks = (edges - edges[0], ()) if stated else frame_edges(manifest, base, entry, numbers, len(left))
     sight = frame_sight(manifest, base, entry, edges, max(images.size_px[1] for images in sequences))
+    sight = replace(sight, files=tuple(chosen))
     rig = read_rig(sight.pair, sequences)
     first = []
     for number, (side, _) in enumerate(entry.cameras):

@@ -182,7 +182,7 @@ def stereo_phasors(
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
     phasors = expand_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
     if view is not None and sight.pair.body != STATIONARY:  # effects grow with the observed motion
-        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
+        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
         if isinstance(view.rig, StereoRig):
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
         notices += _of_pattern(measured, view, lines, usable, moved, effects)

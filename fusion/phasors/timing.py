@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ from fusion.phasors.phasor_notices import (
     NO_SHARED_TRIGGER,
     TOO_FEW_EDGES,
 )
-from fusion.recording.manifest import Frames, Images, PointFiles
+from fusion.recording.manifest import MINIMUM_FRAMES, Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from photogram.images.sequence import FrameNumbers
@@ -49,7 +50,8 @@ class Sight:
 
     `pair`: of the rig, with values of the recording. `time_s` (F,): exposure middles on the first block's clock.
     `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key that error
-    messages name. `edge` (F,): number of the edge of each frame.
+    messages name. `edge` (F,): number of the edge of each frame. `files`: numbers (F,) of the frames among the files of
+    each camera; () where all files are used.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Sight:
     model_share: float
     where: tuple[Path, str]
     edge: IntArray
+    files: tuple[IntArray, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -375,13 +378,18 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
 
 
 def frame_sight(
-    manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
+    manifest: Manifest,
+    base: TimeBase,
+    entry: Images | PointFiles,
+    frames: int | IntArray,
+    rows: int = 1,
+    first_edge: int | None = None,
 ) -> Sight:
     """Return a stereo pair with exposure and instants of its frames.
 
     The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge number
-    of each (F,), counted from that of the first frame. With a rolling shutter of `rows`, instants are those of the
-    first row.
+    of each (F,), counted from that of the first frame, `first_edge`, by default as stated. With a rolling shutter of
+    `rows`, instants are those of the first row.
 
     The edge is that of the periodic model if the trigger has no jitter, and otherwise the measured edge. Measured edges
     include those in other blocks whose clocks are tied by this trigger. The exposure is as stated, or the pulse width
@@ -391,11 +399,12 @@ def frame_sight(
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     index = np.arange(frames) if isinstance(frames, int) else frames
     span = int(index[-1]) + 1
-    if entry.first_edge is None and trigger.edges > span:
+    stated = entry.first_edge if first_edge is None else first_edge
+    if stated is None and trigger.edges > span:
         expected = f"the number of the edge that belongs to the first of {len(index)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
         raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
-    first = entry.first_edge or 0
+    first = stated if isinstance(stated, int) else 0
     if first + span > trigger.edges:
         expected, edges_found = (
             f"at least {first + span} edges in {entry.trigger} for {len(index)} frames",
@@ -435,6 +444,34 @@ def frame_sight(
     return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + index)
 
 
+def shared_edges(
+    manifest: Manifest, base: TimeBase, entry: Images, numbers: Sequence[FrameNumbers | None], frames: Sequence[int]
+) -> tuple[IntArray, list[IntArray]]:
+    """Return the edges that all cameras show, and their frames in each.
+
+    By the stated runs. `numbers`, `frames`: numbering of the files of each camera and their count. Of frames with one
+    edge the first one is used.
+    """
+    assert isinstance(entry.first_edge, dict)
+    key, shown = f"images.{entry.stereo}.first_edge", list[IntArray]()
+    for (side, _), of_camera, count in zip(entry.cameras, numbers, frames, strict=True):
+        index = np.arange(count) if of_camera is None else of_camera.frame_index
+        edges = np.zeros(count, dtype=np.int64)
+        for frame, edge in entry.first_edge[side]:
+            if frame >= count:
+                expected = f"a frame before {count}, their number"
+                raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.{side}", found=str(frame), expected=expected)
+            edges[frame:] = edge + (entry.edge_step or 1) * (index[frame:] - index[frame])
+        shown.append(edges)
+    recorded = np.arange(base.first_with(entry.trigger)[1].edges)
+    common = np.asarray(reduce(np.intersect1d, [*shown, recorded]))
+    if len(common) < MINIMUM_FRAMES:
+        expected = f"at least {MINIMUM_FRAMES} edges of {entry.trigger} that all cameras show"
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, key, found=str(len(common)), expected=expected)
+    first = [dict(zip(edges[::-1].tolist(), range(len(edges))[::-1], strict=True)) for edges in shown]
+    return common, [np.array([of_camera[edge] for edge in common.tolist()]) for of_camera in first]
+
+
 def frame_edges(
     manifest: Manifest,
     base: TimeBase,
@@ -458,7 +495,7 @@ def frame_edges(
         index, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
         if not np.array_equal(index, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_describe_numbers(one)}" for name, one in cameras.items())
-            expected = "the same numbers of frames in both cameras"
+            expected = "the same numbers of frames in both cameras, or `first_edge` of each, which uses the common ones"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
         if numbers is None or not (first.exact and numbers.exact):
             continue
@@ -474,7 +511,8 @@ def frame_edges(
                 )
             )
     trigger = base.first_with(entry.trigger)[1]
-    edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
+    start = entry.first_edge if isinstance(entry.first_edge, int) else 0
+    edges, last = trigger.edges - start, int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"

@@ -408,7 +408,7 @@ def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: f
         text += f", rows exposed successively over {1e3 * read_s:.4g} ms"
         text += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
     wrong = calibration_problems(pair, sequences)
-    if len(left) != len(sequences[-1]):
+    if len(left) != len(sequences[-1]) and not isinstance(images.first_edge, dict):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
     if len(left) < 3:
         wrong.append(f"images {images.stereo}: {len(left)} frames, at least 3 are needed")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import date as Date
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
@@ -91,6 +92,45 @@ def _columns(value: object) -> tuple[str, ...]:
     if missing or 0 < len(set(REFERENCE_COORDINATES) & set(single)) < 3:
         raise refusal("the columns x, y, z and either all or none of x0, y0, z0", ", ".join(value))
     return tuple(value)
+
+
+EdgeRuns = tuple[tuple[int, int], ...]
+"""Runs of frames with consecutive edges: first frame and its edge of each run."""
+
+
+def _first_edge(value: object) -> int | dict[str, EdgeRuns] | None:
+    """Return the edge of the first frame, or the runs of each camera."""
+    if value is None or (isinstance(value, dict) and all(isinstance(runs, tuple) for runs in value.values())):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool):
+        return _edge(value, 0)
+    if isinstance(value, dict) and value and set(value) <= {"left", "right"}:
+        return {side: _edge_runs(runs) for side, runs in value.items()}
+    if isinstance(value, list):
+        return dict.fromkeys(("left", "right"), _edge_runs(value))
+    expected = "the number of an edge, [frame, edge] for runs of frames, or one of these for left and right"
+    raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
+
+
+def _edge(value: int, least: int) -> int:
+    if not least <= value <= FARTHEST_EDGE:
+        raise refusal(f"a number from {least} to {FARTHEST_EDGE}", f"{value}", declared=VALUE_OUT_OF_RANGE)
+    return value
+
+
+def _edge_runs(value: object) -> EdgeRuns:
+    """Return the runs of frames of a camera.
+
+    Their edges may lie before the first recorded one.
+    """
+    runs = [[0, value]] if isinstance(value, int) and not isinstance(value, bool) else value
+    listed = [run for run in runs if isinstance(run, list)] if isinstance(runs, list) else []
+    frames = [run[0] for run in listed if [type(number) for number in run] == [int, int]]
+    ascending = frames[:1] == [0] and all(before < after for before, after in pairwise(frames))
+    if not ascending or not isinstance(runs, list) or len(frames) < len(runs):
+        expected = "[frame, edge] of the first frame, 0, and of each later one whose edge does not follow"
+        raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
+    return tuple((_edge(frame, 0), _edge(edge, -FARTHEST_EDGE)) for frame, edge in listed)
 
 
 def _daq_suffix(value: Path) -> Path:
@@ -289,12 +329,13 @@ class Daq(ManifestBlock):
 class Frames(ManifestBlock):
     """Common keys of images and points; the exposure is that of the pair by default.
 
-    `edge_step`: edges from one frame to the next, or to the next number of a file.
+    `first_edge`: of the first frame, or the runs of each camera, if frames were lost or a camera is late. `edge_step`:
+    edges from one frame to the next, or to the next number of a file.
     """
 
     stereo: Text
     trigger: Text
-    first_edge: Annotated[int, Field(ge=0, le=FARTHEST_EDGE)] | None = None
+    first_edge: Annotated[int | dict[str, EdgeRuns] | None, BeforeValidator(_first_edge)] = None
     edge_step: Annotated[int, Field(ge=1, le=FARTHEST_EDGE)] | None = None
     exposure: Exposure
     delay: Delay
@@ -361,9 +402,14 @@ class Images(Frames):
                 key="displaced_right",
                 declared=FRAMES_DO_NOT_MATCH,
             )
-        if self.right and left != right:
+        runs = self.first_edge if isinstance(self.first_edge, dict) else {}
+        if "right" in runs and not self.right and set(runs) != {"left", "right"}:
+            raise refusal("no right camera", "one", key="first_edge", declared=CONTRADICTING_VALUES)
+        if self.right and runs and set(runs) != {"left", "right"}:
+            raise refusal("edges of left and right", next(iter(runs)), key="first_edge", declared=CONTRADICTING_VALUES)
+        if self.right and left != right and not runs:
             raise refusal(
-                "as many images left as right",
+                "as many images left as right, or `first_edge` of each camera",
                 f"{left} left and {right} right",
                 key="right",
                 declared=FRAMES_DO_NOT_MATCH,
@@ -390,6 +436,9 @@ class PointFiles(Frames):
 
     @model_validator(mode="after")
     def _columns_match_keys(self) -> Self:
+        if isinstance(self.first_edge, dict):
+            expected = "the number of an edge, because points are of both cameras"
+            raise refusal(expected, "one for each camera", key="first_edge", declared=KEY_NOT_APPLICABLE)
         columns = self.columns or ()
         if self.valid_status is not None and "status" not in columns:
             raise refusal(

@@ -12,11 +12,14 @@ import numpy as np
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
+from fusion.phasors.frame_order import other_edges
 from fusion.phasors.set_up import MeasuredSetUp, measure_set_ups, prepare_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_phasors import unresolved_fundamentals
+from fusion.phasors.timing import Sight
 from fusion.recording.acknowledged import acknowledge
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
+from fusion.recording.manifest import EdgeRuns
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse, elastic_rows, main_output
 from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, unstated_chain, with_base_strain
 from fusion.sensitivity.monte_carlo import propagate
@@ -83,6 +86,13 @@ def evaluate_recording(
     return replace(evaluation, input_hashes=dict(input_hashes or {}), duration_s=time.monotonic() - started)
 
 
+def _sights(set_ups: Sequence[MeasuredSetUp]) -> dict[str, tuple[Sight, int | dict[str, EdgeRuns] | None]]:
+    """Return the frames of each stereo pair, and their stated edges."""
+    stated = {one.stereo: one.first_edge for set_up in set_ups for one in set_up.prepared.manifest.images}
+    images = [one for set_up in set_ups for one in set_up.prepared.images]
+    return {one.sight.name: (one.sight, stated[one.sight.name]) for one in images}
+
+
 def evaluate_set_ups(
     manifest: Manifest, set_ups: Sequence[MeasuredSetUp], settings: Settings, progress: ProgressCallback = no_progress
 ) -> Evaluation:
@@ -114,6 +124,7 @@ def evaluate_set_ups(
         *missing_result(inputs, analysis),
         *manifest.notices,
         *joined.notices,
+        *other_edges(observations, _sights(set_ups)),
         *shaken,
         *beam_notices(entries),
     ]

@@ -11,18 +11,21 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.images.image_notices import COLUMNS_ALTERNATE, SENSOR_CLIPS
+from photogram.images.rows import rows_repeat
 from photogram.images.sensor_pattern import TYPICAL, SensorPattern
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
+T = TypeVar("T")
 MAX_DIGITS = 18  # of a number of 64 bits
 NEAR = 0.25  # intervals by which time stamps may be wrong
 SHOWN = 3  # missing numbers that are named
@@ -292,6 +295,23 @@ class ImageSequence:
                 found = f"{100 * share:.1f} % of its pixels at {where}"
                 raise ValueError(f"{name}: expected an image that is not saturated, found {found}")
 
+    def select(self, frames: IntArray) -> ImageSequence:
+        """Return the frames of these numbers (F,), without their numbering.
+
+        >>> images = ImageSequence(("a", "b", "c"), (4, 4), 255, lambda k: np.full((4, 4), k, np.uint8))
+        >>> chosen = images.select(np.array([0, 2]))
+        >>> chosen.names, int(chosen.read(1).max())
+        (('a', 'c'), 2)
+        """
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in frames.tolist()),
+            reader=partial(_read_selected, self.reader, frames),
+            time_s=None if self.time_s is None else self.time_s[frames],
+            numbers=None,
+            glimpse=None if self.glimpse is None else partial(_read_selected, self.glimpse, frames),
+        )
+
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
         """Yield frames in turn; a thread reads the next ones in advance."""
         waiting: deque[Future[GreyImage]] = deque()
@@ -305,6 +325,10 @@ class ImageSequence:
                     yield waiting.popleft().result()
             finally:
                 reader.shutdown(cancel_futures=True)
+
+
+def _read_selected(read: Callable[[int], T], frames: IntArray, index: int) -> T:  # of this module, for pickles
+    return read(int(frames[index]))
 
 
 def find_copied_frames(images: ImageSequence) -> BoolArray:
@@ -510,7 +534,8 @@ def keep_saturated(even: NDArray[np.float32], image: GreyImage, saturation: int)
 def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequence:
     """Return images with the clip level and the notices that their first image gives.
 
-    Raises `ValueError` where more than `most_saturated` of the first image is saturated.
+    Raises `ValueError` where more than `most_saturated` of the first image is saturated, or every other row repeats its
+    neighbours.
     """
     level = clip_level(first)
     if level is not None and level < images.full_scale:
@@ -524,6 +549,9 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
         )
         images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
+    if rows_repeat(first):
+        found = "every other row equal to its neighbours or their mean, as of half the rows of an interlaced camera"
+        raise ValueError(f"{images.names[0]}: expected rows that differ by noise, found {found}")
     gains = {lines: alternating_gain(first, axis) for lines, axis in (("columns", 1), ("rows", 0))}
     for lines, gain in gains.items():
         if gain:

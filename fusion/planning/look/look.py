@@ -249,7 +249,7 @@ def _look_at_images(
         return refusal_findings(error, where), None, 0
     found = [finding for camera_findings, _ in looks for finding in camera_findings]
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
-    if counts[0] != counts[-1]:
+    if counts[0] != counts[-1] and not isinstance(images.first_edge, dict):
         found.append(Finding("REPEAT", Notice(CAMERAS_DIFFER_IN_FRAMES, where, left=counts[0], right=counts[1])))
     stated = [entry or SensorOfCamera() for entry in (pair.left, pair.right)][: len(seen_by)]
     if len(seen_by) == len(looks) and not any(one.dark or one.flat for one in stated):
@@ -264,8 +264,8 @@ def _look_at_images(
 
 def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: int) -> Iterator[Finding]:
     """Yield contradictions between frames and edges, and aliases of the driven lines."""
-    where = images.stereo
-    if trigger.edges < frames + (images.first_edge or 0):
+    where, first = images.stereo, images.first_edge
+    if not isinstance(first, dict) and trigger.edges < frames + (first or 0):
         yield Finding("REPEAT", Notice(LOOK_MISSING_EDGES, where, frames=frames, edges=trigger.edges))
     elif trigger.edges > frames and images.first_edge is None:
         yield Finding("FIX MANIFEST", Notice(FIRST_EDGE_UNSTATED, where, frames=frames, edges=trigger.edges))

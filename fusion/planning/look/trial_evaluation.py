@@ -16,6 +16,7 @@ from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading
+from fusion.phasors.phasor_notices import FRAMES_OF_OTHER_EDGES
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_motion import PreparedImages
@@ -35,7 +36,6 @@ from fusion.sensitivity.recording_evaluation import evaluate_set_ups
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES, OUTPUT_LAGS, UNOBSERVED_MOTION_LARGE
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import skew, vector_from_rotation
-from photogram.images.sequence import ImageSequence
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -252,19 +252,10 @@ def _few_frames(images: PreparedImages) -> PreparedImages:
     numbers = np.arange(count)
     share = (FOLLOWED - IN_A_ROW) / (count - IN_A_ROW)
     chosen = np.flatnonzero((numbers < IN_A_ROW) | spread_choice(numbers, share))
-    sight = replace(images.sight, time_s=images.sight.time_s[chosen])
-    return replace(images, sight=sight, cameras=tuple(_frames_of(camera, chosen) for camera in images.cameras))
-
-
-def _frames_of(images: ImageSequence, chosen: IntArray) -> ImageSequence:
-    names, time_s = tuple(images.names[i] for i in chosen), images.time_s
-    reader = images.reader
-    return replace(
-        images,
-        names=names,
-        reader=lambda index: reader(int(chosen[index])),
-        time_s=None if time_s is None else time_s[chosen],
-    )
+    files = tuple(of[chosen] for of in images.sight.files) or tuple(chosen for _ in images.cameras)
+    sight = replace(images.sight, time_s=images.sight.time_s[chosen], edge=images.sight.edge[chosen], files=files)
+    cameras = tuple(camera.select(chosen) for camera in images.cameras)
+    return replace(images, sight=sight, cameras=cameras, copied=images.copied[chosen])
 
 
 def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> Iterator[Finding]:
@@ -289,7 +280,10 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
     """
     for notice in notices:
         doubted, assumed = notice.code in QUESTIONABLE_CODES, notice.code == UNOBSERVED_MOTION_LARGE.code
-        if notice.values.get("mistake_explains") or notice.code == NO_RESULT_AT_LINES.code:
+        if notice.values.get("mistake_explains") or notice.code in (
+            NO_RESULT_AT_LINES.code,
+            FRAMES_OF_OTHER_EDGES.code,
+        ):
             yield Finding("FIX MANIFEST", notice)
         elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
             yield Finding("CHECK", notice)
