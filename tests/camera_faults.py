@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -100,9 +101,17 @@ def digits(signal: np.ndarray, bits: int) -> tuple[list[ImageSequence], list[Not
     return inspected, [notice for one in inspected for notice in one.notices]
 
 
-def measured(signal: np.ndarray, bits: int, device: str = "cpu") -> tuple[BodyMotion, list[Notice]]:
-    """The motion of the body in these signals, and all notices."""
+def as_stored(images: ImageSequence) -> ImageSequence:
+    """The images without the correction of alternating gains."""
+    return replace(images, flat_field=None)
+
+
+def measured(
+    signal: np.ndarray, bits: int, device: str = "cpu", corrected: bool = True
+) -> tuple[BodyMotion, list[Notice]]:
+    """The motion of the body in these signals, and all notices; as stored where gains are not to be corrected."""
     images, notices = digits(signal, bits)
+    images = images if corrected else [as_stored(one) for one in images]
     places = two_poses()
     rig = StereoRig(camera(MIDDLE), camera(MIDDLE), places[1] @ places[0].inverse())
     left_from_body: RigidTransform = places[0]
@@ -111,11 +120,16 @@ def measured(signal: np.ndarray, bits: int, device: str = "cpu") -> tuple[BodyMo
 
 
 def gain_errors(body: BodyMotion, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Relative errors of the amplitudes of x y z rx ry rz, and their standard uncertainties by the images' noise."""
+    """Relative errors of the amplitudes of x y z rx ry rz, and their standard uncertainties by the images' noise.
+
+    Of the motion as the fit finds it, without a correction for the fixed pattern of the sensors.
+    """
+    assert body.pattern is not None
+    found = body.motion.pose - body.pattern.correction
     true = poses - poses.mean(axis=0)
     energy = np.sum(true**2, axis=0)
     variance = np.diagonal(body.motion.covariance[1:], axis1=1, axis2=2).mean(axis=0)
-    return np.sum(body.motion.pose * true, axis=0) / energy - 1.0, np.sqrt(variance / energy)
+    return np.sum(found * true, axis=0) / energy - 1.0, np.sqrt(variance / energy)
 
 
 def codes(notices: list[Notice]) -> set[str]:

@@ -281,7 +281,7 @@ def prepare_images(
 
 
 def _displaced(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[ImageSequence, ...]:
-    """Return the images of the displaced body of each camera, of the same size and sensor as the others."""
+    """Return the images of the displaced body of each camera, corrected as the others."""
     found = []
     for (key, files), images in zip(entry.displaced, sequences, strict=False):
         with as_input_error(manifest.path, f"images.{entry.stereo}.{key}"):

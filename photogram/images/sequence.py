@@ -507,7 +507,7 @@ def alternating_gain(image: NDArray[Any], axis: int) -> float:
 
 @dataclass(frozen=True)
 class AlternatingGains:
-    """Correction of images whose odd columns or rows have another gain than the even ones, by relative excess."""
+    """Correction of odd columns and rows by the relative excess of their gain."""
 
     columns: float
     rows: float

@@ -114,11 +114,12 @@ def test_rows_that_flicker_are_named_with_their_size(size, times):
 
 
 @pytest.mark.parametrize(("axis", "component"), [(1, 0), (0, 1)])
-def test_even_and_odd_columns_or_rows_are_named_with_a_bound_of_their_effect(axis, component):
+def test_even_and_odd_columns_or_rows_are_named_with_a_bound_of_their_effect_and_corrected(axis, component):
     poses = swing(18, 0.1)
     pattern = EVEN_COLUMNS if axis == 1 else EVEN_COLUMNS.T
     plain, _ = measured(sensed(light(poses), np.random.default_rng(8)), 12)
-    alternating, notices = measured(gains(pattern)(light(poses), np.random.default_rng(8)), 12)
+    signal = gains(pattern)(light(poses), np.random.default_rng(8))
+    alternating, notices = measured(signal, 12, corrected=False)
     said = [notice for notice in notices if notice.code == "SC-247"]
     assert len(said) == 2
     assert {notice.values["lines"] for notice in said} == {"columns" if axis == 1 else "rows"}
@@ -127,6 +128,8 @@ def test_even_and_odd_columns_or_rows_are_named_with_a_bound_of_their_effect(axi
     bound = said[0].values["shortening_percent"]
     assert -bound < change[component] < -0.2 * bound
     assert abs(change[1 - component]) < 0.05 * bound
+    corrected, _ = measured(signal, 12)
+    assert np.all(np.abs(gain_errors(corrected, poses)[0] - gain_errors(plain, poses)[0])[:2] < 1e-4)
 
 
 def test_a_raw_mosaic_is_refused_by_name():
@@ -184,3 +187,4 @@ def test_alternating_columns_are_found_by_gain_and_never_without():
         assert alternating_gain(grey, 1) == alternating_gain(grey, 0) == 0.0
         assert alternating_gain(grey + 40.0 * columns, 1) == 0.0
         assert alternating_gain(grey * (1.0 + 0.01 * columns), 1) == pytest.approx(0.01, abs=0.003)
+        assert alternating_gain(grey * (1.0 - 0.01 * columns), 1) == pytest.approx(-0.01, abs=0.003)

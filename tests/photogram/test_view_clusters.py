@@ -172,7 +172,7 @@ def test_a_slow_path_is_cut_into_poses_and_a_pose_taken_again_is_the_same():
     def at(x_m: float, turn_rad: float = 0.0) -> RigidTransform:
         return RigidTransform(rotation_from_vector(np.array([0.0, turn_rad, 0.0])), np.array([x_m, 0.0, 0.5]))
 
-    shape = make_shape("flat", np.array([[0, 0], [1, 0], [0, 1]]), Target("chessboard", 1e-9, (2, 2)))
+    shape = make_shape("flat", np.array([[0, 0], [1, 0], [0, 1]]), Target("chessboard", 1e-9, (3, 3)))
     path = [at(x) for x in np.linspace(0.0, 0.2, 101)]  # 800 px, half of the image's diagonal
     cluster = pose_clusters(Bundle(rig, tuple(path), shape))
     assert (np.diff(cluster) >= 0).all()
