@@ -60,7 +60,7 @@ class BodyMotion(Arrays):
 
     Attributes
     ----------
-    motion : fitted to the grey values of all pixels.
+    motion : fitted to the grey values of all pixels, without the effect of the sensors' fixed pattern.
     motion_of_points : fitted to the points alone, in the frames with subsets.
     shape_amplitudes : deformation in addition to the motion, by the shapes it was prepared with (by default
         `direct.surface.PlainShapes`).
@@ -231,10 +231,11 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     notices = (
         *tracked.summary.notices,
         *remarks,
-        *_rigid_notices(sums, _of_frames(_as_seen(motion, pattern), tracked.frames), of_points, missing),
+        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, missing),
     )
+    correction = 0.0 if pattern is None else pattern.correction
     return BodyMotion(
-        motion=motion,
+        motion=replace(motion, pose=motion.pose + correction),
         motion_of_points=of_points,
         shape_amplitudes=ShapeAmplitudes(
             scene.shapes, fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)
@@ -413,7 +414,7 @@ class _Sums:
 
 
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits, FixedPattern | None]:
-    """Iterate over the tracked frames for noise, notices, and corrected direct fits."""
+    """Iterate over the tracked frames for noise, notices, direct fits, and their fixed pattern."""
     monitor = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
@@ -446,7 +447,6 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
         if not any(notice.code == SENSOR_SATURATES.code for notice in scene.noise_notices):  # whose misfit grows too
             shown = np.concatenate([shown[0], whole.pose]), np.concatenate([shown[1], whole.misfit])
         pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, whole.pose, shown)
-        whole = replace(whole, pose=whole.pose + pattern.correction)
     white = grey if pattern is None else _with_pattern(scene, grey, pattern)
     summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)
     tracked = TrackedSubsets(scene, blocks, numbers, with_residuals, whole.pose[numbers], grey, monitor, summary)
@@ -491,11 +491,6 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
     """Return the motion in some frames."""
     selected = {name: getattr(motion, name)[frames] for name in ("pose", "covariance", "residual_m", "points")}
     return replace(motion, **selected)
-
-
-def _as_seen(motion: RigidMotion, pattern: FixedPattern | None) -> RigidMotion:
-    """Return the motion without the correction for the fixed pattern, as the points have it."""
-    return motion if pattern is None else replace(motion, pose=motion.pose - pattern.correction)
 
 
 def _joined(parts: Sequence[_Part], constant: str = "") -> _Part:

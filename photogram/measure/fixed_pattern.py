@@ -107,7 +107,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return self._of_frames(added, pose)
 
     def slopes(self, pose: FloatArray) -> FloatArray:
-        """Return what each part adds to the slope (F, 4, 6) by the motion at poses (F, 6).
+        """Return what each part adds to the slope (F, 4, 6) at poses (F, 6).
 
         The slopes of the reference correlate with the pattern of the frame.
         """
@@ -128,7 +128,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return self.view.rates[:, [0, 3], :6]
 
     def _of_frames(self, added: Callable[[FloatArray], FloatArray], pose: FloatArray) -> FloatArray:
-        """Return what is added at the cells' shifts (F, C, 2), some frames at a time."""
+        """Return what is added at the cells' shifts (F, C, 2)."""
         parts = [pose[start : start + FRAMES_AT_ONCE] for start in range(0, max(len(pose), 1), FRAMES_AT_ONCE)]
         return np.concatenate([added(np.einsum("cip,fp->fci", self._rates, part)) for part in parts])
 

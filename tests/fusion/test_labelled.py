@@ -56,7 +56,7 @@ def test_arrays_say_what_the_tables_say(folder):
     assert {row["source"] for row in rows(folder / "acceleration.csv")} == {
         name.partition("-")[2] for name in results.acceleration
     }
-    assert repr(results.load) == "load: load/Fz = (229.77 ± 0.15) N at 80.0002 Hz (k = 1.97); 6 elements at 3 lines"
+    assert repr(results.load) == "load: load/Fz = (229.77 ± 0.16) N at 80.0002 Hz (k = 1.97); 6 elements at 3 lines"
     assert len(repr(results).splitlines()) == 1 + 3 + len(results.acceleration)
 
 

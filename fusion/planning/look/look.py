@@ -139,8 +139,8 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     Examples
     --------
     >>> from fusion import look
-    >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
-    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the target of 0.01 %.']
+    >>> look("sample_images/demo/Fz-0080", aim=1e-4).findings[0].text  # doctest: +ELLIPSIS
+    'U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the target of 0.01 %.'
     """
     manifest, already = load_manifest(recording, allow_outside=allow_outside), FileCache()
     problems, set_ups = _open_recording(manifest, already)
