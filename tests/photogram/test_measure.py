@@ -246,7 +246,7 @@ def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(f
         same(getattr(whole, name), getattr(parts, name), "pose", "covariance", "residual_m", "points")
     same(whole.points, parts.points, "position_m", "covariance_m2", "reprojection_px")
     same(whole, parts, "reprojection_px", "sigma_px", "zncc")
-    beside = deformation(whole.points, whole.motion)
+    beside = deformation(whole.points, replace(whole.motion, pose=as_seen(whole)))
     for name in ("residual_m", "covariance_m2"):
         joined = np.concatenate([getattr(part, name) for part in parts.surface])
         np.testing.assert_allclose(joined, getattr(beside, name), 1e-6, 1e-9 * np.nanmax(np.abs(joined)))
