@@ -3,7 +3,8 @@
 A frame is scene times pattern, and so is the reference. Moved by u, the reference's pattern P meets the frame's at
 P(x + u): their difference is part of the misfit, least at u = 0, and shortens every small motion. Half the derivative
 of that part by u is the slope that the pattern adds to the fit. So the growth of the misfit with the motion, which is
-measured, gives the correction, whatever the pattern is made of.
+measured, gives the correction. Gains that alternate from pixel to pixel are an exception, since a spline has no slope
+at their pixels: they are corrected in the images (`sequence.AlternatingGains`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.bspline import noise_gain, pattern_overlap, slope_noise_gain
-from photogram.direct.direct_fit import BodyView, DirectFit
+from photogram.direct.direct_fit import BodyView, DirectFit, without_noise
 from photogram.geometry import rotation_from_vector, rotation_vector_rate
 from photogram.images.sensor_pattern import SensorPattern
 from shakercal._common.arrays import Arrays, FloatArray
@@ -61,7 +62,7 @@ class FixedPattern(Arrays, shapes="correction F 6; change F J 6; variance V 2; e
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
+class PatternModel(Arrays, shapes="variance C 4"):
     """Patterns of unit size in one camera.
 
     Attributes
@@ -71,7 +72,6 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
 
     view: BodyView
     degree: int
-    grey2: FloatArray
     variance: FloatArray
 
     @classmethod
@@ -81,7 +81,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         grey2 = np.where(view.steady, np.nan_to_num(cells.energy) + cells.weight * cells.mean**2, 0.0)
         mean2 = grey2 / np.where(cells.weight > 0.0, cells.weight, 1.0)
         pixels = np.where(view.steady, cells.weight * pattern.variance(mean2, full_scale), 0.0)
-        return cls(view, degree, grey2, np.column_stack([pixels, grey2, grey2, grey2]))
+        return cls(view, degree, np.column_stack([pixels, grey2, grey2, grey2]))
 
     @property
     def curvature(self) -> FloatArray:
@@ -133,12 +133,12 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return np.concatenate([added(np.einsum("cip,fp->fci", self._rates, part)) for part in parts])
 
     def information(self, level: float, size: FloatArray) -> FloatArray:
-        """Return the information (6, 6) of the scene alone for sizes (4,)."""
-        view, rates = self.view, self._rates
-        noise = level + size[0] * self.variance[:, 0] / np.maximum(view.cells.count, 1)
-        clean = view.information[:, :6, :6] - noise[:, None, None] * view.information_noise[:, :6, :6]
-        of_lines = np.einsum("k,ck,ki->ci", size[1:], self.variance[:, 1:], self.curvature[1:])
-        return np.asarray(clean.sum(axis=0) - np.einsum("cip,ci,ciq->pq", rates, of_lines, rates))
+        """Return what noise of a level and parts of sizes (4,) add to the information (6, 6)."""
+        rates, cells = self._rates, self.view.cells
+        noise = level + max(float(size[0]), 0.0) * self.variance[:, 0] / np.maximum(cells.count, 1)
+        of_lines = np.einsum("k,ck,ki->ci", np.maximum(size[1:], 0.0), self.variance[:, 1:], self.curvature[1:])
+        white = np.einsum("c,cpq->pq", noise, self.view.information_noise[:, :6, :6])
+        return np.asarray(white + np.einsum("cip,ci,ciq->pq", rates, of_lines, rates))
 
 
 def _smooth_overlap(shift: FloatArray) -> FloatArray:
@@ -165,18 +165,18 @@ def fixed_pattern(
     fitted = np.flatnonzero(np.isfinite(pose).all(axis=1))
     seen = np.isfinite(shown[0]).all(axis=1) & np.isfinite(shown[1]).all(axis=(1, 2))
     poses, misfit = shown[0][seen], shown[1][seen]
-    slopes, roots, variance, whole = [], [], [], np.zeros((6, 6))
+    slopes, roots, variance, information = [], [], [], np.zeros((2, 6, 6))
     for side, (view, pattern, full_scale) in enumerate(zip(views, patterns, full_scales, strict=True)):
         model = PatternModel.of(view, pattern, degree, full_scale)
         level, size, covariance = _sizes(misfit[:, side], model.misfits(poses), pattern)
         slope = model.slopes(pose[fitted])
-        whole += model.information(level, size)
+        information += [view.information[:, :6, :6].sum(axis=0), model.information(level, size)]
         nominal = np.einsum("fkp,k->fp", slope, size)
         slopes.append(nominal)
         roots += [np.einsum("fkp,k->fp", slope, step) for step in covariance_root(covariance).T]
         roots.append(_model_share(pattern.prnu * np.sqrt(max(size[0], 0.0))) * nominal)
         variance.append((size[0], np.sqrt(covariance[0, 0])))
-    estimate = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+    estimate = np.asarray(np.linalg.inv(without_noise(information[0], information[1])), dtype=np.float64)
     both = np.stack([np.sum(slopes, axis=0), *roots], axis=1) @ estimate.T
     change = np.zeros((len(pose), both.shape[1], 6))
     change[fitted] = _of_pose(both, pose[fitted])
