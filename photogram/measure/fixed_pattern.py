@@ -9,7 +9,6 @@ at their pixels: they are corrected in the images (`sequence.AlternatingGains`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -220,26 +219,15 @@ def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tup
         if np.array_equal(near, used):
             break
         used = np.asarray(near)
-    return level, *_with_a_positive_first(size, covariance)
+    return level, *_not_negative_first(size, covariance)
 
 
-def _with_a_positive_first(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean (n,) and covariance (n, n) of a normal distribution without negative first values.
+def _not_negative_first(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (n,) and covariance (n, n) with a first value of at least 0.
 
-    A variance is not negative. Those of the truncated normal distribution (Johnson, Kotz, Balakrishnan 1994, Continuous
-    Univariate Distributions 1, 10.1), and of the other values by their regression on the first.
+    A variance is not negative. The other values follow by their regression on the first.
     """
-    sigma = math.sqrt(float(covariance[0, 0]))
-    low = -float(mean[0]) / sigma
-    if low < -8.0:
-        return mean, covariance
-    if low > 8.0:  # far below zero: an exponential distribution
-        rise, share = 1.0 / low + low, 1.0 / low**2
-    else:
-        hazard = math.exp(-0.5 * low**2) / math.sqrt(2.0 * math.pi) / (0.5 * math.erfc(low / math.sqrt(2.0)))
-        rise, share = hazard, 1.0 + low * hazard - hazard**2
-    along = covariance[:, 0] / sigma
-    return mean + rise * along, covariance - (1.0 - share) * np.outer(along, along)
+    return mean + max(-float(mean[0]), 0.0) / float(covariance[0, 0]) * covariance[:, 0], covariance
 
 
 def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
@@ -259,7 +247,7 @@ def cell_phasors(fits: Iterable[Sequence[DirectFit]], columns: FloatArray) -> tu
     """
     basis, triangle = np.linalg.qr(columns)
     done, sums, squares = 0, 0.0, 0.0
-    for block in fits:
+    for block in filter(None, fits):
         scores = np.array([fit.scores for fit in block], dtype=np.float64)
         sums = sums + np.einsum("st,scp->tcp", basis[done : done + len(scores)], scores)
         squares = squares + np.einsum("scp,scq->cpq", scores, scores)

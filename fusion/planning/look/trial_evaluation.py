@@ -11,7 +11,13 @@ import numpy as np
 from fusion.base import Settings, no_progress
 from fusion.errors import ComputeError, InputError
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.instrument_consistency import Consistency, exchanged_channels, find_suspicions, likely_mistake
+from fusion.estimation.instrument_consistency import (
+    Consistency,
+    exchanged_channels,
+    find_suspicions,
+    likely_mistake,
+    without_readings,
+)
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_system, solve
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
@@ -101,7 +107,6 @@ def _plain(
     acceleration: Acceleration, blamed: Sequence[Consistency], system: FusionSystem, first: FusionSolution
 ) -> Iterator[str]:
     """Yield scale factors, exchanged channels, other quantities and directions of channels."""
-    without = {one.suspect: one.value for one in acceleration.explanations}
     for test in blamed:
         name, whole, _ = test.instrument.partition(" as a whole")
         indices = [index for index, one in enumerate(system.observations) if whole and one.title == name]
@@ -112,7 +117,8 @@ def _plain(
             readings[rows] /= test.ratio.real
             if solve(replace(system, readings=readings)).chi2 < EXPLAINS * first.chi2:
                 yield f"{mistake} ({test.instrument})"
-        value = np.nan_to_num(without.get(test.instrument, acceleration.phasors.value))
+        others = build_system(without_readings(system, rows), acceleration.unobserved_limits)
+        value = np.nan_to_num(np.where(others.observed, solve(others).acceleration, np.nan))
         for index in np.unique(system.observation[rows]).tolist():
             yield from _of_channels(system.observations[index], np.unique(system.channel[rows]), value, test.instrument)
     for a, b in exchanged_channels(system, first, find_suspicions(system, first)):
