@@ -132,7 +132,7 @@ class PatternModel(Arrays, shapes="variance C 4"):
         return np.concatenate([added(np.einsum("cip,fp->fci", self._rates, part)) for part in parts])
 
     def information(self, level: float, size: FloatArray) -> FloatArray:
-        """Return what noise of a level and parts of sizes (4,) add to the information (6, 6)."""
+        """Return what noise and parts of sizes (4,) add to the information (6, 6)."""
         rates, cells = self._rates, self.view.cells
         noise = level + max(float(size[0]), 0.0) * self.variance[:, 0] / np.maximum(cells.count, 1)
         of_lines = np.einsum("k,ck,ki->ci", np.maximum(size[1:], 0.0), self.variance[:, 1:], self.curvature[1:])
