@@ -21,7 +21,7 @@ SHARED_SIGMAS = 2.0  # standard deviations beyond chance, from which whole colum
 COMPONENTS = 6
 CONTRADICTION = 3.0  # standard uncertainties by which a measured pattern exceeds a stated one
 OPEN_SHARE = 0.5  # of what was uncertain before, from which the frames do not show the size of a pattern
-NOTABLE_SHARE = 0.5  # correction or its standard uncertainty, over that of noise, above which there is a notice
+NOTABLE_SHARE = 0.5  # correction over the noise, above which there is a notice
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,7 +114,7 @@ class PatternReading(Arrays, shapes="time_s F; pose F 6; amplitude F S"):
         prior = np.array([one.variance_uncertainty for one in pattern.patterns])
         if of_size[at] > noise[at] and np.any(pattern.variance[:, 1] > OPEN_SHARE * prior):
             yield Notice(PATTERN_UNKNOWN, f"{frequency_hz[k]:.6g} Hz", **values)
-        elif max(correction[at], u[at]) > NOTABLE_SHARE * noise[at]:
+        elif correction[at] > NOTABLE_SHARE * noise[at]:
             values |= {"prnu_percent": 100.0 * float(pattern.prnu[:, 0].max())}
             values |= {"correction_percent": 100.0 * float(correction[at] / value[at])}
             yield Notice(PATTERN_CORRECTED, f"{frequency_hz[k]:.6g} Hz", **values)
