@@ -196,11 +196,10 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         prepared, motions, lines = _tied(prepared, motions, prepared.lines)
         base = prepared.base
         clock = line_clock(base)
+    refined = [refine_rolling_shutter(item, prepared.images, lines) for item in motions]
     checked = [
-        _as_stated(refine_rolling_shutter(item, prepared.images, lines), lines_hz, ())
-        if any(item.sight.pair.row_time)
-        else reject_decalibrated(item)
-        for item in motions
+        _as_stated(item, lines_hz, ()) if any(item.sight.pair.row_time) else reject_decalibrated(item)
+        for item in refined
     ]
     left_out += [item for item in checked if isinstance(item, RejectedPair)]
     motions = tuple(item for item in checked if isinstance(item, StereoMotion))

@@ -439,7 +439,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
         fits[0] = (missing[0], rest_covariance(scene.views, float(np.median(levels))), *missing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)
     whole, numbers, pattern = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames), None
-    with_residuals = numbers[np.isfinite(whole.misfit[numbers, 0, 0])]
+    with_residuals = numbers[np.isfinite(whole.pose[numbers, 0])]
     if levels:
         known = [images.pattern for images in scene.images]
         full_scales = [float(images.full_scale) for images in scene.images]

@@ -148,6 +148,8 @@ class ExposureCorrection(Arrays):
                 self.scene.references, found, _at_one_instant(self.uncorrected, self.swing, number, found)
             )
         fit = fit_direct(views, targets, start)
+        if fit is not None and self.swing.motion_blur:  # the misfit grows with the blur, not with a fixed pattern alone
+            fit = replace(fit, misfit=np.full_like(fit.misfit, np.nan))
         if fit is None or not self.swing.rolling_shutter:
             return (found, fit), None
         from_first = self.swing.relative_motion(self.swing.time_s[0], self.swing.time_s[number])
