@@ -300,8 +300,8 @@ def _with_pattern(manifest: Manifest, sight: Sight, side: str, images: ImageSequ
         return replace(images, pattern=stated_pattern(stated.prnu, stated.dsnu))
     from photogram.images.flat_field import corrected_sequence, flat_field
 
-    bits, where = images.full_scale.bit_length(), f"stereo.{sight.name}.{side}"
-    with as_input_error(manifest.rig_path, where, IMAGES_REFUSED):
+    bits = images.full_scale.bit_length()
+    with as_input_error(manifest.rig_path, f"stereo.{sight.name}.{side}"):
         dark, flat = (open_sequence(files, bits) if files else None for files in (stated.dark, stated.flat))
         return corrected_sequence(images, flat_field(images, dark, flat))
 

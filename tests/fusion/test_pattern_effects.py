@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from pattern_factory import AMPLITUDE_PX, COLUMNS, FRAMES, PIXEL_M, clean_images, measured, relative_error
+from speckle import SENSOR, sequence
 
+from fusion.errors import InputError
 from fusion.phasors.pattern_effects import PatternReading
+from fusion.phasors.stereo_motion import _with_pattern
+from fusion.recording.values import SensorOfCamera
 from photogram.images.sensor_pattern import TYPICAL, SensorPattern, stated_pattern
 from photogram.measure.body import BodyMotion
 from shaker.sine.phasor import Phasors
@@ -95,3 +102,18 @@ def test_a_motion_that_does_not_show_the_pattern_is_told(clean):
     variance = np.array([[1.0, TYPICAL.variance_uncertainty]] * 2)
     open_size = replace(body, pattern=replace(body.pattern, change=20.0 * body.pattern.change, variance=variance))
     assert told(open_size) == ["SC-215"]
+
+
+@pytest.mark.parametrize(("key", "said"), [("dark", "180 x 180 px, found 30 x 20 px"), ("flat", "found 30 x 20 px")])
+def test_a_refused_dark_or_flat_image_is_one_sentence_with_its_key(key, said, clean, tmp_path):
+    files = tuple(tmp_path / f"{number}.tif" for number in range(2))
+    for file in files:
+        cv2.imwrite(str(file), np.full((20, 30), 5, np.uint16))
+    stated = SensorOfCamera.model_construct(**{key: files})
+    sight: Any = SimpleNamespace(name="top", pair=SimpleNamespace(left=stated))
+    manifest: Any = SimpleNamespace(rig_path=tmp_path / "rig.toml")
+    images = sequence([SENSOR.digitise(clean[0][0], None)], SENSOR.full_scale)
+    with pytest.raises(InputError) as refused:
+        _with_pattern(manifest, sight, "left", images)
+    assert "rig.toml: stereo.top.left: " in str(refused.value)
+    assert said in str(refused.value)
