@@ -35,12 +35,12 @@ from photogram.direct.surface import PlacedCamera, SeenPoints, project_body_poin
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform
 from photogram.images.rows import parity_displacement
+from photogram.motion import MEDIAN_CHI2_OF_TWO
 from shaker.sine.aliasing import usable_lines
 from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 SUBSETS, SEEN_SHARE, MIN_SUBSETS = 200, 0.5, 6
-MEDIAN_CHI2_OF_TWO = 2.0 * np.log(2.0)
 OUTLIER = 5.0  # robust standard deviations beyond which a subset is ignored
 MOST_ROW_FRAMES, FEWEST_ROW_FRAMES, ROWS_PX = 10, 6, 192  # frames compared, and size of the part of an image
 ROWS_DIFFER, ROWS_SHARE = 3.0, 0.05

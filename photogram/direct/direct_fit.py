@@ -345,7 +345,7 @@ class FitStep(NamedTuple):
     final : (A,) whether the motion after the step is the converged one.
     noise_ratio : (A,) variance of the grey values over that of the noise models.
     sums : over all cells.
-    residuals : of each view after the step.
+    residuals : of each view after the step; () for a step in memory that is not final.
     """
 
     pose: Any
@@ -396,9 +396,9 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
     shortening = xp.einsum("aii->a", xp.linalg.solve(information, noise_part))
     left = ratio * shortening / 6.0 * xp.where(enough, UNCORRECTED_SHARE, 1.0)
     final = solvable & (length < MAX_FINAL_STEP) & (left * length < MAX_REMAINING_STEP)
-    residuals = tuple(
-        _view_residuals(xp, *each, (pose, ratio)) for each in zip(views, compared, used, totals, strict=True)
-    )
+    parts = zip(views, compared, used, totals, strict=True)
+    skipped = xp is np and not final.any()  # as above: a GPU is not asked
+    residuals = () if skipped else tuple(_view_residuals(xp, *each, (pose, ratio)) for each in parts)
     return FitStep(pose, length, solvable, final, ratio, sums, residuals)
 
 
