@@ -25,8 +25,10 @@ import numpy as np
 from marked import markdown_table, write_marked
 from other_physics_files import INTERNAL_ERROR, Case, Outcome, evaluate
 from other_physics_release import CASES as RELEASES
+from other_physics_shaken import CASES as SHAKEN
+from other_physics_turned import CASES as TURNED
 
-CASES: dict[str, Case] = {case.name: case for case in RELEASES}
+CASES: dict[str, Case] = {case.name: case for case in RELEASES + SHAKEN + TURNED}
 COMMON = 0.5
 """A code in this share of the draws of any case within the assumptions tells nothing of another case."""
 
@@ -95,6 +97,7 @@ def _judge(names: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "without_u": withheld,
         "covered": float(np.mean(over <= 1.0)),
         "u_over_needed": float(np.median(ratios)),
+        "median_u": float(np.median(us)),
         "largest_error_over_u": float(over.max()),
         "median_error_over_u": float(np.median(over)),
         "bias_over_u": float(np.median(biases)),

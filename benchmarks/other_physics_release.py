@@ -237,7 +237,7 @@ def _body_truths(plant: Plant, static: FloatArray) -> Numbers:
             found[f"{sort}[{place} re {row} {column}]"] = residues[index][row, column].real
             found[f"{sort}[{place} im {row} {column}]"] = residues[index][row, column].imag
     for row, column in np.ndindex(6, 6):
-        found[f"{'static_gain' if row == column else 'static_cross_talk'}[{row} {column}]"] = static[row, column]
+        found[f"{'static_gain' if row == column else 'static_cross_talk'}[{row} {column}]"] = float(static[row, column])
     return found
 
 

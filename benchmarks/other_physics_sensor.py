@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,12 +234,13 @@ def frequency_truths(plant: Plant, top_hz: float = 30e3) -> dict[str, float]:
     def ratio(frequency_hz: float) -> complex:
         return complex(plant.response(np.array([frequency_hz]))[0, 0, 0]) / static
 
+    def outside(limit: float, frequency_hz: float) -> float:
+        return abs(abs(ratio(frequency_hz)) - 1.0) - limit
+
     values = plant.response(grid)[:, 0, 0] / static
     size, found = np.abs(values), {"static_gain": static}
     for name, limit in (("band_5_hz", 0.05), ("band_10_hz", 0.10)):
-        found[name] = _first_crossing(
-            lambda f, limit=limit: abs(abs(ratio(f)) - 1.0) - limit, grid, np.abs(size - 1.0) - limit
-        )
+        found[name] = _first_crossing(partial(outside, limit), grid, np.abs(size - 1.0) - limit)
     found["half_power_hz"] = _first_crossing(lambda f: 0.5**0.5 - abs(ratio(f)), grid, 0.5**0.5 - size)
     found["quadrature_hz"] = _first_crossing(lambda f: -ratio(f).real, grid, -values.real)
     top = int(np.argmax(size))
@@ -268,8 +270,11 @@ def step_truths(plant: Plant) -> dict[str, float]:
     top = int(np.argmax(values))
     fine = np.linspace(grid[max(top - 1, 0)], grid[min(top + 1, len(grid) - 1)], 2001)
 
-    def at(time_s: float, level: float) -> float:
+    def above(level: float, time_s: float) -> float:
         return float(step(np.array(time_s))) - level
+
+    def away(limit: float, time_s: float) -> float:
+        return abs(above(1.0, time_s)) - limit
 
     found = {
         "natural_hz": abs(main) / (2.0 * np.pi),
@@ -277,12 +282,10 @@ def step_truths(plant: Plant) -> dict[str, float]:
         "damping_ratio": -main.real / abs(main),
         "overshoot": float(step(fine).max()) - 1.0,
     }
-    ten, ninety = (_first_crossing(lambda t, level=level: at(t, level), grid, values - level) for level in (0.1, 0.9))
+    ten, ninety = (_first_crossing(partial(above, level), grid, values - level) for level in (0.1, 0.9))
     for name, limit in (("settling_5_s", 0.05), ("settling_2_s", 0.02)):
-        outside = int(np.flatnonzero(np.abs(values - 1.0) > limit)[-1])
-        found[name] = float(
-            brentq(lambda t, limit=limit: abs(at(t, 1.0)) - limit, grid[outside], grid[outside + 1], xtol=1e-12)
-        )
+        last = int(np.flatnonzero(np.abs(values - 1.0) > limit)[-1])
+        found[name] = float(brentq(partial(away, limit), grid[last], grid[last + 1], xtol=1e-12))
     return found | {"rise_s": ninety - ten}
 
 
