@@ -23,12 +23,14 @@ from typing import Any
 
 import numpy as np
 from marked import markdown_table, write_marked
+from other_physics_body import CASES as BODIES
 from other_physics_files import INTERNAL_ERROR, Case, Outcome, evaluate
+from other_physics_loads import CASES as LOADS
 from other_physics_release import CASES as RELEASES
 from other_physics_shaken import CASES as SHAKEN
 from other_physics_turned import CASES as TURNED
 
-CASES: dict[str, Case] = {case.name: case for case in RELEASES + SHAKEN + TURNED}
+CASES: dict[str, Case] = {case.name: case for case in RELEASES + BODIES + LOADS + SHAKEN + TURNED}
 COMMON = 0.5
 """A code in this share of the draws of any case within the assumptions tells nothing of another case."""
 

@@ -30,7 +30,8 @@ class Case:
     """One kind of recording: what writes it with its truth, what evaluates it, and what reads the results.
 
     `build` fills an empty folder and returns the truth of every quantity, by the names that `read` gives them. A name
-    with a bracket, `residue[3]`, counts with all others before the bracket.
+    with a bracket, `residue[3]`, counts with all others before the bracket. `first` is a command whose results are the
+    input of `command`.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Case:
     command: tuple[str, ...]
     build: Callable[[Path, np.random.Generator], Numbers]
     read: Callable[[Path], Readings]
+    first: tuple[str, ...] = ()
     within: bool = False
     named_by: tuple[str, ...] = ()
 
@@ -56,7 +58,14 @@ class Outcome:
 def evaluate(case: Case, folder: Path, rng: np.random.Generator) -> Outcome:
     """Write a campaign, run its command in this process, and read the results."""
     truth = case.build(folder, rng)
-    status, text = run_command([case.command[0], str(folder), *case.command[1:], "-o", str(folder / "results")])
+    source, status, text = folder, 0, ""
+    if case.first:
+        source = folder / "first"
+        status, text = run_command([case.first[0], str(folder), *case.first[1:], "-o", str(source)])
+    if status == 0:
+        more = [str(source), *case.command[1:], "-o", str(folder / "results")]
+        status, later = run_command([case.command[0], *more])
+        text += later
     codes = tuple(sorted(set(CODE.findall(text))))
     readings = case.read(folder / "results") if (folder / "results").is_dir() else {}
     error = "" if status == 0 else " ".join(text.split())[:400]

@@ -53,6 +53,35 @@ class Plant:
         return Plant(a, b, np.hstack([np.zeros((count, len(self.a))), np.kron(np.eye(count), after.c)]))
 
 
+@dataclass(frozen=True)
+class Filtered:
+    """A plant of one input and output followed by a filter of as many zeros as poles."""
+
+    plant: Plant
+    zeros: ComplexArray
+    poles: ComplexArray
+    gain: float
+
+    def _gain(self, s: ComplexArray) -> ComplexArray:
+        above, below = (np.prod(s[:, None] - roots, axis=-1) for roots in (self.zeros, self.poles))
+        return np.asarray(self.gain * above / below)
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return y/u at frequencies, (F, 1, 1)."""
+        s = 2j * np.pi * np.atleast_1d(frequency_hz)
+        return np.asarray(self.plant.response(frequency_hz) * self._gain(np.asarray(s))[:, None, None])
+
+    def modal(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return poles and residues: of the plant by the filter there, of the filter by the plant there."""
+        poles, residues = self.plant.modal()
+        found = [residues * self._gain(poles)[:, None, None]]
+        for index, pole in enumerate(self.poles):
+            others = np.delete(self.poles, index)
+            factor = self.gain * np.prod(pole - self.zeros) / np.prod(pole - others)
+            found.append(factor * self.plant.response(np.array([pole / (2j * np.pi)])))
+        return np.concatenate([poles, self.poles]), np.concatenate(found)
+
+
 def modes(figures: Sequence[tuple[float, float, float]], gain: float = 1.0) -> Plant:
     """Return modes of natural frequency (Hz), damping ratio and share of the static gain, driven by one load."""
     blocks, inputs, outputs = [], [], []
@@ -226,7 +255,7 @@ def _first_crossing(excess: Callable[[float], float], grid: FloatArray, values: 
     return float(brentq(excess, grid[above[0]], grid[above[0] + 1], xtol=1e-14)) if len(above) else np.nan
 
 
-def frequency_truths(plant: Plant, top_hz: float = 30e3) -> dict[str, float]:
+def frequency_truths(plant: Plant | Filtered, top_hz: float = 30e3) -> dict[str, float]:
     """Return static gain, bands, half power, quadrature and peak of |H|."""
     grid = np.geomspace(1.0, top_hz, 40_000)
     static = float(plant.response(np.zeros(1))[0, 0, 0].real)
@@ -249,7 +278,7 @@ def frequency_truths(plant: Plant, top_hz: float = 30e3) -> dict[str, float]:
     return found | {"peak_hz": float(fine[np.argmax(peak)]), "peak_gain": float(peak.max())}
 
 
-def step_truths(plant: Plant) -> dict[str, float]:
+def step_truths(plant: Plant | Filtered) -> dict[str, float]:
     """Return the mode that swings most after a step, and overshoot, rise and settling of an ideal step."""
     poles, residues = plant.modal()
     weights = residues[:, 0, 0] / poles
