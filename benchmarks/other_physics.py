@@ -62,13 +62,14 @@ def score(case: Case, outcomes: Sequence[Outcome], seconds: float) -> dict[str, 
         "internal_errors": sum(one["internal"] for one in failures),
         "failures": failures,
         "codes": {code: count / draws for code, count in sorted(codes.items())},
+        "draw_codes": [one.codes for one in outcomes],
         "quantities": {name: _judge(names, outcomes) for name, names in groups.items()},
     }
 
 
 def _judge(names: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return how often U covers, U over what is needed, the largest error over U, and how often U is withheld."""
-    errors, us, withheld, codes_missed = [], [], 0, Counter[str]()
+    errors, us, withheld = [], [], 0
     per_name: dict[str, list[tuple[float, float]]] = {}
     missed = []
     for draw, one in enumerate(outcomes):
@@ -84,7 +85,6 @@ def _judge(names: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
             per_name.setdefault(name, []).append((value - true, u))
             if abs(value - true) > u:
                 missed.append(draw)
-                codes_missed.update(one.codes)
     if not errors:
         return {"stated": 0, "without_u": withheld}
     ratios, biases = [], []
@@ -104,7 +104,6 @@ def _judge(names: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "median_error_over_u": float(np.median(over)),
         "bias_over_u": float(np.median(biases)),
         "draws_missed": sorted(set(missed)),
-        "codes_where_missed": dict(codes_missed),
     }
 
 
