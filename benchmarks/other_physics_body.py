@@ -126,17 +126,29 @@ def _keep(folder: Path, plant: Plant) -> Numbers:
     }
 
 
+def _places(results: Path, stated: dict[str, float]) -> dict[str, int]:
+    """Return which true mode, ascending, each stated one within 3 % is; further stated ones have no place."""
+    true = np.load(results.parent / "true.npz")
+    poles = np.linalg.eigvals(true["a"])
+    exact_hz = np.sort(np.abs(poles[poles.imag > 1.0])) / (2.0 * np.pi)
+    places = {}
+    for place, hz in enumerate(exact_hz):
+        near = min(stated, key=lambda mode: abs(stated[mode] - hz), default=None)
+        if near is not None and abs(stated[near] / hz - 1.0) < 0.03:
+            places[near] = place
+    return places
+
+
 def read_body(results: Path) -> Readings:
     """Return the model by ascending frequency, and errors of the stated loads behind the filter."""
     rows = rows_of(results / "model.csv")
-    frequency = {row["number"]: number(row["value"]) for row in rows if row["quantity"] == "frequency_hz"}
-    if len(frequency) != 6:
-        return {}
-    place = {mode: index for index, mode in enumerate(sorted(frequency, key=lambda one: frequency[one]))}
+    place = _places(results, {r["number"]: number(r["value"]) for r in rows if r["quantity"] == "frequency_hz"})
     found: Readings = {}
     for row in rows:
         both = number(row["value"]), number(row["U"])
         quantity = row["quantity"]
+        if quantity in {"frequency_hz", "damping_ratio", "residue_re", "residue_im"} and row["number"] not in place:
+            continue
         if quantity in {"frequency_hz", "damping_ratio"}:
             found[f"{quantity}[{place[row['number']]}]"] = both
         elif quantity in {"residue_re", "residue_im", "static_gain"}:
