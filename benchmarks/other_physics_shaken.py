@@ -242,10 +242,14 @@ def build_transfer(plan: ShakenPlan, folder: Path, rng: np.random.Generator) -> 
     spring, errors = _drawn(plan, rng), _transducer_errors(rng)
     mass = plan.masses[0]
     write_toml(folder / "rig.toml", {"name": "load on a spring"})
-    for index, level in enumerate(plan.sweeps or (1.0,)):
-        place = folder / f"chirp-{index + 1}"
-        write_toml(place / "recording.toml", _manifest(plan, place.name, "rig.toml"))
-        write_channels(place / "accelerometers.h5", RATE_HZ, _record(plan, spring, mass, level, errors, rng))
+    place, levels = folder / "chirp", plan.sweeps or (1.0,)
+    manifest = _manifest(plan, place.name, "rig.toml")
+    manifest["daq"][0]["file"] = "record-1.h5"
+    if len(levels) > 1:
+        manifest["daq"][0]["repeats"] = "record-*.h5"
+    write_toml(place / "recording.toml", manifest)
+    for index, level in enumerate(levels):
+        write_channels(place / f"record-{index + 1}.h5", RATE_HZ, _record(plan, spring, mass, level, errors, rng))
     grid = np.linspace(BAND_HZ[0] * 1.1, BAND_HZ[1] * 0.95, LINES)
     figures = np.array([spring.stiffness, spring.damping, spring.internal, spring.loss_factor])
     np.savez(folder / "true.npz", grid=grid, spring=figures, mass=np.array(mass))
@@ -270,7 +274,7 @@ def read_masses(results: Path) -> Readings:
 
 
 def read_transfer(results: Path) -> Readings:
-    """Return the resonance (k = 2) and stated less true lines of the first curve that was written."""
+    """Return the resonance (k = 2), and relative errors and errors of phase of lines of the curve."""
     tables, files = sorted(results.rglob("transfer.csv")), sorted(results.rglob("transfer.h5"))
     if not tables:
         return {}
