@@ -119,7 +119,7 @@ def _write_load(plan: LoadPlan, folder: Path, name: str, stated: float, rng: np.
     if plan.softening or plan.friction:
         pole = plant.modal()[0][0]
         spring = Spring(abs(pole) / (2 * np.pi), -pole.real / abs(pole), plan.softening, plan.friction)
-        values = 4.0 * ring(spring, time_s, 1e5, times_s)
+        values = 4.0 * ring(spring, time_s, 0.0, times_s)
     else:
         values = 4.0 + respond(plant, np.array([-10.0]), release(plan.shape, time_s), times_s)[0][0]
     values = values + 4.0 * plan.level * noise("white", plan.samples, plan.rate_hz, rng)

@@ -199,7 +199,7 @@ class Spring:
 
 
 def ring(spring: Spring, ramp_s: float, corner_hz: float, times_s: FloatArray) -> FloatArray:
-    """Return the lagged displacement at times after a ramp of the load that begins at time 0."""
+    """Return the displacement behind a lag (0: none), at times after a ramp of the load that begins at time 0."""
     if spring.friction:
         return _ring_with_friction(spring, ramp_s, corner_hz, times_s)
     w, lag_w = 2.0 * np.pi * spring.frequency_hz, 2.0 * np.pi * corner_hz
@@ -207,13 +207,14 @@ def ring(spring: Spring, ramp_s: float, corner_hz: float, times_s: FloatArray) -
 
     def motion(t: float, x: FloatArray) -> list[float]:
         force = max(0.0, 1.0 - t / ramp_s) - x[0] * (1.0 - spring.softening * x[0] ** 2)
-        return [w * x[1], w * force - 2.0 * spring.damping_ratio * w * x[1], lag_w * (x[0] - x[2])]
+        moved = [w * x[1], w * force - 2.0 * spring.damping_ratio * w * x[1]]
+        return [*moved, lag_w * (x[0] - x[2])] if lag_w else moved
 
-    out, state = np.full(len(times_s), rest), np.array([rest, 0.0, rest])
+    out, state = np.full(len(times_s), rest), np.array([rest, 0.0, rest] if lag_w else [rest, 0.0])
     for begin, end in ((0.0, ramp_s), (ramp_s, float(times_s[-1]) + 1e-9)):
         inside = (times_s >= begin) & (times_s < end)
         found = solve_ivp(motion, (begin, end), state, "DOP853", np.append(times_s[inside], end), rtol=1e-9, atol=1e-12)
-        out[inside], state = found.y[2, :-1], found.y[:, -1]
+        out[inside], state = found.y[2 if lag_w else 0, :-1], found.y[:, -1]
     return out
 
 
@@ -240,6 +241,8 @@ def _ring_with_friction(spring: Spring, ramp_s: float, corner_hz: float, times_s
                 if sense:
                     v = w * late * (u - sense * spring.friction - q)
                     q += 0.5 * w * late * v
+    if not corner_hz:
+        return np.asarray(np.interp(times_s, np.arange(count) * step, course, left=1.0))
     lagged, keep, one = np.empty(count), np.exp(-2.0 * np.pi * corner_hz * step), 1.0
     for index in range(count):
         lagged[index] = one
