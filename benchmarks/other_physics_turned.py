@@ -29,6 +29,7 @@ class TurnedPlan:
     drift: float = 0.0
     repeats: int = 1
     calibration: float = 5e-4
+    poses: int = 0
 
 
 def turned(axis: FloatArray, angle: float) -> FloatArray:
@@ -77,7 +78,8 @@ def build_rotation(plan: TurnedPlan, folder: Path, rng: np.random.Generator) -> 
         "centre_of_mass_uncertainty": 2e-4,
         "inertia": np.diag([0.036, 0.036, 0.031]),
     }
-    place = {"gravity": [0.0, -9.8125, 0.0], "gravity_uncertainty": 5e-4, "air_density": 1.19, "temperature": 23.0}
+    stated_gravity = [0.0, 0.0, -9.8125] if plan.poses else [0.0, -9.8125, 0.0]
+    place = {"gravity": stated_gravity, "gravity_uncertainty": 5e-4, "air_density": 1.19, "temperature": 23.0}
     write_toml(folder / "rig.toml", {"name": "head", "sensor": sensor, "load": stated_load, "environment": place})
     bodies = [(internal * (1.0 - air / own_density), inside)]
     for loaded in (False, True):
@@ -85,10 +87,11 @@ def build_rotation(plan: TurnedPlan, folder: Path, rng: np.random.Generator) -> 
             bodies.append((load * (1.0 - air / 7900.0), centre))
         for repeat in range(plan.repeats):
             name = f"{'with' if loaded else 'without'}-load-{repeat + 1}"
-            wrenches = _wrenches(bodies, gravity, twice, plan, rng)
-            _write_readings(folder / name, loaded, _printed(plan, wrenches @ sensitivity.T, rng))
+            columns, downs = _poses(plan.poses, rng) if plan.poses else _head(twice, plan, rng)
+            readings = _printed(plan, _wrenches(bodies, gravity, downs, plan) @ sensitivity.T, rng)
+            _write_readings(folder / name, loaded, columns, readings)
     both = {"internal": (internal, inside), "load": (load, centre)}
-    truth = {f"{name}_mass[{axis}]": mass for name, (mass, _) in both.items() for axis in ("joint", "Fx", "Fy")}
+    truth = {f"{name}_mass[{axis}]": mass for name, (mass, _) in both.items() for axis in ("joint", "Fx", "Fy", "Fz")}
     return truth | {
         f"{name}_centre_of_mass[{axis}]": float(point[index])
         for name, (_, point) in both.items()
@@ -99,25 +102,33 @@ def build_rotation(plan: TurnedPlan, folder: Path, rng: np.random.Generator) -> 
 ANGLES_DEG = np.concatenate([np.arange(0.0, 361.0, 22.5), np.arange(360.0, -1.0, -22.5)])
 
 
-def _wrenches(
-    bodies: list[tuple[float, FloatArray]],
-    gravity: float,
-    twice: FloatArray,
-    plan: TurnedPlan,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return forces and moments on the sensor at every reading (N, 6), behind its hysteresis."""
+def _head(twice: FloatArray, plan: TurnedPlan, rng: np.random.Generator) -> tuple[dict[str, FloatArray], FloatArray]:
+    """Return the angles that a head shows, and where down is in the sensor's axes (N, 3)."""
     angles = np.radians(ANGLES_DEG)
     angles = angles + twice[0] * np.cos(2.0 * angles) + twice[1] * np.sin(2.0 * angles) + 3e-3 * rng.standard_normal()
     tipped = turned(np.array([1.0, 0.0, 0.0]), plan.tilt_rad + 3e-4 * rng.standard_normal())
     tipped = tipped @ turned(np.array([0.0, 1.0, 0.0]), 3e-4 * rng.standard_normal())
-    rows = []
-    for angle in angles:
-        down = turned(np.array([0.0, 0.0, 1.0]), -angle) @ (tipped @ np.array([0.0, -1.0, 0.0]))
-        force = [weight * gravity * down for weight, _ in bodies]
-        moment = [np.cross(point, one) for (_, point), one in zip(bodies, force, strict=True)]
-        rows.append(np.concatenate([np.sum(force, axis=0), np.sum(moment, axis=0)]))
-    found = np.array(rows)
+    down = tipped @ np.array([0.0, -1.0, 0.0])
+    return {"angle [deg]": ANGLES_DEG}, np.array([turned(np.array([0.0, 0.0, 1.0]), -one) @ down for one in angles])
+
+
+def _poses(count: int, rng: np.random.Generator) -> tuple[dict[str, FloatArray], FloatArray]:
+    """Return quaternions of the sensor in the world, and where down is in the sensor's axes (N, 3)."""
+    quaternions = rng.standard_normal((count, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    x, y, z, w = quaternions.T
+    third_row = np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x**2 + y**2)]).T
+    return dict(zip(("qx", "qy", "qz", "qw"), quaternions.T, strict=True)), -third_row
+
+
+def _wrenches(
+    bodies: list[tuple[float, FloatArray]], gravity: float, downs: FloatArray, plan: TurnedPlan
+) -> FloatArray:
+    """Return forces and moments on the sensor at every reading (N, 6), behind its hysteresis."""
+    found = np.zeros((len(downs), 6))
+    for weight, point in bodies:
+        force = weight * gravity * downs
+        found += np.hstack([force, np.cross(point, force)])
     return np.asarray([with_play(course, plan.hysteresis) for course in found.T]).T if plan.hysteresis else found
 
 
@@ -130,21 +141,19 @@ def _printed(plan: TurnedPlan, outputs: FloatArray, rng: np.random.Generator) ->
     return np.asarray(np.round(values + plan.noise * rng.standard_normal(outputs.shape), plan.decimals))
 
 
-def _write_readings(place: Path, loaded: bool, readings: FloatArray) -> None:
-    excitation: dict[str, Any] = {
-        "kind": "rotation",
-        "file": "readings.csv",
-        "angle_unit": "deg",
-        "angle_uncertainty": 1e-4,
-        "axis": [0.0, 0.0, 1.0],
-        "zero_gravity": [0.0, -1.0, 0.0],
-        "with_load": loaded,
-    }
+def _write_readings(place: Path, loaded: bool, columns: dict[str, FloatArray], readings: FloatArray) -> None:
+    excitation: dict[str, Any] = {"kind": "rotation", "file": "readings.csv", "with_load": loaded}
+    if "qx" in columns:
+        excitation["orientation"] = "sensor_in_world"
+    else:
+        excitation |= {"angle_unit": "deg", "angle_uncertainty": 1e-4, "axis": [0.0, 0.0, 1.0]}
+        excitation["zero_gravity"] = [0.0, -1.0, 0.0]
     write_toml(place / "recording.toml", {"name": place.name, "rig": "../rig.toml", "excitation": excitation})
-    head = "angle [deg]," + ",".join(f"{channel} [mV/V]" for channel in CHANNELS)
+    head = ",".join([*columns, *(f"{channel} [mV/V]" for channel in CHANNELS)])
+    stated = np.column_stack(list(columns.values()))
     rows = [
-        ",".join([f"{angle:g}", *(f"{value:.6g}" for value in row)])
-        for angle, row in zip(ANGLES_DEG, readings, strict=True)
+        ",".join([*(f"{value:.9g}" for value in left), *(f"{value:.6g}" for value in right)])
+        for left, right in zip(stated, readings, strict=True)
     ]
     (place / "readings.csv").write_text("\n".join([head, *rows, ""]), encoding="utf-8")
 
@@ -177,5 +186,12 @@ CASES: tuple[Case, ...] = (
         "axis 1° off horizontal, calibrated to 0.005 %",
         replace(TURNED, tilt_rad=np.radians(1.0), calibration=5e-5),
     ),
+    _turned("poses_24", "24 orientations as quaternions", replace(TURNED, poses=24), within=True),
+    _turned("poses_6", "six orientations", replace(TURNED, poses=6), within=True),
+    _turned("poses_drift", "24 orientations, drift of 0.05 N", replace(TURNED, poses=24, drift=0.05)),
+    _turned(
+        "poses_4_digits", "24 orientations, printed to 1e-4 mV/V", replace(TURNED, poses=24, decimals=4, noise=1e-6)
+    ),
+    _turned("poses_hysteresis", "24 orientations, loops of 0.14 %", replace(TURNED, poses=24, hysteresis=0.0014)),
     _turned("rotation_drift", "drift of 0.05 N over the series", replace(TURNED, drift=0.05)),
 )
