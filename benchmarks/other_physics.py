@@ -35,6 +35,36 @@ COMMON = 0.5
 """A code in this share of the draws of any case within the assumptions tells nothing of another case."""
 
 
+NAMED: dict[str, tuple[str, ...]] = {
+    "exponential": ("SC-860", "SC-871"),
+    "two_stages": ("SC-367", "SC-368", "SC-860"),
+    "pink_noise": ("SC-369", "SC-374", "SC-870"),
+    "mains_hum": ("SC-375", "SC-870"),
+    "growing_mode": ("SC-374", "SC-870"),
+    "compensated_exponential": ("SC-860",),
+    "body_exponential": ("SC-395", "SC-880", "SC-881"),
+    "body_quiet_exponential": ("SC-395", "SC-880", "SC-881"),
+    "body_hum": ("SC-375",),
+    "body_twelve_bit": ("SC-689",),
+    "load_softening": ("SC-388",),
+    "load_friction": ("SC-388",),
+    "load_light_friction": ("SC-388",),
+    "load_loss_factor": ("SC-388",),
+    "masses_mount": ("SC-890", "SC-894", "SC-895"),
+    "masses_lag": ("SC-890", "SC-891", "SC-894"),
+    "masses_accelerometer": ("SC-890", "SC-891", "SC-894"),
+    "masses_loss_factor": ("SC-892", "SC-893"),
+    "masses_softening": ("SC-890", "SC-899"),
+    "transfer_loss_factor": ("SC-897", "SC-898"),
+    "transfer_softening": ("SC-899", "SC-909"),
+    "rotation_4_digits": ("SC-624",),
+    "rotation_hysteresis": ("SC-913",),
+    "rotation_tilted": ("SC-911",),
+    "poses_hysteresis": ("SC-912", "SC-913"),
+}
+"""Codes that name the cause, by the beginning of the case."""
+
+
 def generator(name: str, draw: int) -> np.random.Generator:
     """Return the random numbers of one draw of a case, the same whichever draws are run."""
     return np.random.default_rng([draw, *name.encode()])
@@ -63,17 +93,40 @@ def score(case: Case, outcomes: Sequence[Outcome], seconds: float) -> dict[str, 
         "failures": failures,
         "codes": {code: count / draws for code, count in sorted(codes.items())},
         "draw_codes": [one.codes for one in outcomes],
-        "quantities": {name: _judge(names, outcomes) for name, names in groups.items()},
+        "draw_worst": [worst(one) for one in outcomes],
+        "quantities": {name: _judge(members, outcomes) for name, members in groups.items()},
     }
 
 
-def _judge(names: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def worst(outcome: Outcome) -> float:
+    """Return the largest error over its U of one draw, 0 where nothing has a U."""
+    ratios = [
+        abs(value - outcome.truth[name]) / max(u, 1e-300)
+        for name, (value, u) in outcome.readings.items()
+        if name in outcome.truth and np.isfinite([value, u, outcome.truth[name]]).all()
+    ]
+    return float(max(ratios, default=0.0))
+
+
+def names(case: str) -> tuple[str, ...]:
+    """Return the codes that name the cause of a case."""
+    return next((codes for beginning, codes in NAMED.items() if case.startswith(beginning)), ())
+
+
+def named(result: dict[str, Any]) -> tuple[float, float]:
+    """Return the share of draws whose notices name the cause, and that of others with an error beyond 2 U."""
+    told = [bool(set(codes) & set(names(result["case"]))) for codes in result["draw_codes"]]
+    silent = [most > 2.0 and not one for most, one in zip(result["draw_worst"], told, strict=True)]
+    return float(np.mean(told)), float(np.mean(silent))
+
+
+def _judge(members: list[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return how often U covers, U over what is needed, the largest error over U, and how often U is withheld."""
     errors, us, withheld = [], [], 0
     per_name: dict[str, list[tuple[float, float]]] = {}
     missed = []
     for draw, one in enumerate(outcomes):
-        for name in names:
+        for name in members:
             true, (value, u) = one.truth.get(name, np.nan), one.readings.get(name, (np.nan, np.nan))
             if not np.isfinite(true):
                 continue
@@ -143,9 +196,11 @@ def low_coverage(draws: int) -> float:
 def report(result: dict[str, Any], results: Sequence[dict[str, Any]]) -> str:
     """Return a case as text: codes, failures, a line per quantity."""
     codes = ", ".join(f"{code} {share:.0%}" for code, share in own_codes(result, results).items()) or "none"
+    told, silent = named(result)
     lines = [
         f"{result['case']} ({result['command']}: {result['about']}): {result['draws']} draws, "
-        f"{result['seconds_per_draw']:.1f} s each, internal errors {result['internal_errors']}, own codes: {codes}"
+        f"{result['seconds_per_draw']:.1f} s each, internal errors {result['internal_errors']}, named in {told:.0%}, "
+        f"beyond 2 U and not named in {silent:.0%}, own codes: {codes}"
     ]
     for failure in result["failures"]:
         lines.append(f"  draw {failure['draw']}: status {failure['status']}: {failure['error'][:200]}")
@@ -164,7 +219,10 @@ def report(result: dict[str, Any], results: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-HEAD = "| command | recordings | worst coverage | others below 93 % | U / needed | own notices | failures |"
+HEAD = (
+    "| command | recordings | worst coverage | others below 93 % | U / needed | named | beyond 2 U, not named | "
+    "failures |"
+)
 
 
 def markdown_rows(results: Sequence[dict[str, Any]]) -> list[str]:
@@ -177,9 +235,11 @@ def markdown_rows(results: Sequence[dict[str, Any]]) -> list[str]:
         others = [f"{n} {100 * stated[n]['covered']:.0f} %" for n in ordered[1:] if stated[n]["covered"] < 0.93]
         ratios = [one["u_over_needed"] for one in stated.values()]
         size = f"{np.median(ratios):.2g}, at most {max(ratios):.2g}" if ratios else ""
-        codes = ", ".join(f"{code} {share:.0%}" for code, share in own_codes(result, results).items())
+        told, silent = named(result)
+        codes = ", ".join(code for code in names(result["case"]) if code in result["codes"])
         rows.append(
-            f"| {result['command']} | {result['about']} | {worst} | {', '.join(others)} | {size} | {codes} | "
+            f"| {result['command']} | {result['about']} | {worst} | {', '.join(others)} | {size} | "
+            f"{f'{100 * told:.0f} % ({codes})' if codes else ''} | {100 * silent:.0f} % | "
             f"{len(result['failures'])} of {result['draws']}, internal {result['internal_errors']} |"
         )
     return rows

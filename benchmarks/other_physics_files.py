@@ -41,7 +41,6 @@ class Case:
     read: Callable[[Path], Readings]
     first: tuple[str, ...] = ()
     within: bool = False
-    named_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def evaluate(case: Case, folder: Path, rng: np.random.Generator) -> Outcome:
         more = [str(source), *case.command[1:], "-o", str(folder / "results")]
         status, later = run_command([case.command[0], *more])
         text += later
-    codes = tuple(sorted(set(CODE.findall(text))))
+    codes = tuple(sorted(set(CODE.findall(text)) | stored_codes(folder)))
     readings = case.read(folder / "results") if (folder / "results").is_dir() else {}
     error = "" if status == 0 else " ".join(text.split())[:400]
     return Outcome(status, codes, error, truth, readings)
@@ -83,6 +82,20 @@ def run_command(arguments: list[str]) -> tuple[int, str]:
     except Exception as error:  # what the command line should have turned into a sentence
         return -1, f"{INTERNAL_ERROR} {type(error).__name__}: {error}"
     return status, err.getvalue()
+
+
+def stored_codes(folder: Path) -> set[str]:
+    """Return the codes of all notices that result files hold; the terminal does not list notes."""
+    found: set[str] = set()
+
+    def visit(name: str, node: object) -> None:
+        if name.endswith("notices/code") and isinstance(node, h5py.Dataset):
+            found.update(CODE.findall(str([one.decode() for one in node[()].ravel()])))
+
+    for path in folder.rglob("*.h5"):
+        with h5py.File(path) as file:
+            file.visititems(visit)
+    return found
 
 
 # Manifests: TOML written by a few lines, since values are texts, numbers, lists and blocks alone.

@@ -227,12 +227,12 @@ def _oscillator(spring: Spring, mass: float) -> Numbers:
 
 
 def _usable_hz(spring: Spring, mass: float) -> float:
-    """Return up to where the spring's force stays within 5 % of a force on the load."""
+    """Return up to where the deflection by a force on the load stays within 5 % of that at rest."""
 
     def excess(frequency_hz: float) -> float:
         w = 2.0 * np.pi * frequency_hz
         whole = spring.dynamic(np.array([w]))[0] - (mass + spring.internal) * w**2
-        return spring.stiffness / abs(complex(whole)) - 1.05
+        return abs(complex(spring.dynamic(np.zeros(1))[0]) / complex(whole)) - 1.05
 
     return float(brentq(excess, 1.0, 0.9 * _oscillator(spring, mass)["frequency"]))
 
