@@ -70,6 +70,7 @@ class StepPlan:
     rest_s: float = 0.02
     filter_hz: float = 0.0
     filter_stated: bool = False
+    chain_stated: bool = False
     measured: bool = False
     growing: bool = False
     softening: float = 0.0
@@ -117,10 +118,14 @@ def build_step(plan: StepPlan, folder: Path, rng: np.random.Generator) -> Number
                     "direction": [0.0, 0.0, 1.0],
                 }
             )
+        elements = []
+        if plan.chain_stated:
+            elements.append({"name": "amplifier", "filter": "butterworth", "order": 1, "corner": 6e3})
         if plan.filter_stated:
-            manifest["daq"][0]["channel"][0]["response"] = "filter.toml"
-            element = {"name": "anti-aliasing filter", "filter": "butterworth", "order": 4, "corner": plan.filter_hz}
-            write_toml(place / "filter.toml", {"element": [element]})
+            elements.append({"name": "filter", "filter": "butterworth", "order": 4, "corner": plan.filter_hz})
+        if elements:
+            manifest["daq"][0]["channel"][0]["response"] = "chain.toml"
+            write_toml(place / "chain.toml", {"element": elements})
         write_toml(place / "recording.toml", manifest)
         write_channels(place / "outputs.h5", plan.rate_hz, channels)
     return truth
@@ -216,6 +221,11 @@ CASES: tuple[Case, ...] = (
         "exponential_50us",
         "exponential, time constant 50 µs",
         replace(STEP, shapes=("exponential",), time_s=(45e-6, 55e-6)),
+    ),
+    _step(
+        "exponential_50us_chain",
+        "the same, amplifier stated",
+        replace(STEP, shapes=("exponential",), time_s=(45e-6, 55e-6), chain_stated=True),
     ),
     _step("exponential_100us", "exponential, 100 µs", replace(STEP, shapes=("exponential",), time_s=(90e-6, 110e-6))),
     _step(
