@@ -31,6 +31,8 @@ from other_physics_shaken import CASES as SHAKEN
 from other_physics_turned import CASES as TURNED
 
 CASES: dict[str, Case] = {case.name: case for case in RELEASES + BODIES + LOADS + SHAKEN + TURNED}
+SLOW = {"decouple": 0.4}
+"""Share of the draws for commands that take longer than the others."""
 COMMON = 0.5
 """A code in this share of the draws of any case within the assumptions tells nothing of another case."""
 
@@ -254,7 +256,9 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder in which the campaigns are left")
     parser.add_argument("--list", action="store_true")
     parser.add_argument("--json", type=Path, help="file of all scores, added to after every case")
-    parser.add_argument("--from", type=Path, dest="before", help="scores to read in place of running")
+    parser.add_argument(
+        "--from", type=Path, nargs="+", dest="before", help="files of scores to read in place of running"
+    )
     parser.add_argument("--markdown", type=Path, help="page that holds the marks of the table")
     arguments = parser.parse_args()
     wanted = arguments.case or ["*"]
@@ -268,11 +272,13 @@ def main() -> None:
         return
     results: list[dict[str, Any]] = []
     if arguments.before:
-        results = json.loads(arguments.before.read_text(encoding="utf-8"))
+        found = [one for path in arguments.before for one in json.loads(path.read_text(encoding="utf-8"))]
+        results = [one for name in CASES for one in found if one["case"] == name]
         print("\n".join(report(result, results) for result in results))
     else:
-        draws = [arguments.draw] if arguments.draw is not None else list(range(arguments.draws))
         for case in cases:
+            count = max(1, round(arguments.draws * SLOW.get(case.command[0], 1.0)))
+            draws = [arguments.draw] if arguments.draw is not None else list(range(count))
             results.append(run(case, draws, arguments.keep))
             print(report(results[-1], results), flush=True)
             if arguments.json:

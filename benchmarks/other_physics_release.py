@@ -71,6 +71,7 @@ class StepPlan:
     filter_hz: float = 0.0
     filter_stated: bool = False
     chain_stated: bool = False
+    ropes: tuple[tuple[str, float], ...] = ()
     measured: bool = False
     growing: bool = False
     softening: float = 0.0
@@ -101,11 +102,15 @@ def build_step(plan: StepPlan, folder: Path, rng: np.random.Generator) -> Number
     for index in range(plan.releases):
         place = folder / f"release-{index + 1}"
         manifest = step_manifest(place.name, "Fz", -100.0, [output("Fz")])
-        shape = plan.shapes[index % len(plan.shapes)]
-        channels = _recorded_step(plan, plant, figures, release(shape, float(rng.uniform(*plan.time_s))), rng)
+        shape, time_s = plan.shapes[index % len(plan.shapes)], float(rng.uniform(*plan.time_s))
+        if plan.ropes:
+            shape, middle_s = plan.ropes[index % len(plan.ropes)]
+            time_s = middle_s * rng.uniform(0.9, 1.1)
+            manifest["excitation"]["release"] = f"rope {index % len(plan.ropes) + 1}"
+        channels = _recorded_step(plan, plant, figures, release(shape, time_s), rng)
         if plan.growing and index == 1:
-            time_s = np.arange(plan.samples) / plan.rate_hz
-            channels["Fz"] += 0.03 * np.exp((time_s - time_s[-1]) / 0.03) * np.sin(2.0 * np.pi * 2310.0 * time_s)
+            course_s = np.arange(plan.samples) / plan.rate_hz
+            channels["Fz"] += 0.3 * np.exp((course_s - course_s[-1]) / 0.03) * np.sin(2.0 * np.pi * 2310.0 * course_s)
         if plan.measured:
             manifest["excitation"]["force"] = "load cell"
             del manifest["excitation"]["release"]
@@ -226,6 +231,11 @@ CASES: tuple[Case, ...] = (
         "exponential_50us_chain",
         "the same, amplifier stated",
         replace(STEP, shapes=("exponential",), time_s=(45e-6, 55e-6), chain_stated=True),
+    ),
+    _step(
+        "exponential_two_ropes",
+        "three exponentials each of 50 µs and 150 µs",
+        replace(STEP, releases=6, ropes=(("exponential", 50e-6), ("exponential", 150e-6))),
     ),
     _step("exponential_100us", "exponential, 100 µs", replace(STEP, shapes=("exponential",), time_s=(90e-6, 110e-6))),
     _step(
