@@ -21,6 +21,7 @@ from other_physics_sensor import (
     noise,
     release,
     respond,
+    rest_of,
     ring,
 )
 from scipy.optimize import brentq
@@ -61,7 +62,7 @@ def build_load(plan: LoadPlan, folder: Path, rng: np.random.Generator) -> Number
     k, c = 2.36e6 * rng.uniform(0.9, 1.1), 6.0 * rng.uniform(0.8, 1.2)
     kl, cl = (1.89e6 * rng.uniform(0.9, 1.1), 4.0 * rng.uniform(0.8, 1.2)) if plan.coupled else (0.0, 0.0)
     moving = 0.24 + plan.stated_u * rng.standard_normal()
-    truth = {"stiffness": k, "sensitivity": 0.4, "moving_mass": moving}
+    truth = {"stiffness": k, "sensitivity": 0.4 * rest_of(plan.softening), "moving_mass": moving}
     if not plan.loss_factor:
         truth |= {"damping": c} | ({"coupling_stiffness": kl, "coupling_damping": cl} if plan.coupled else {})
         truth |= _limits(k, c, kl, cl, moving)

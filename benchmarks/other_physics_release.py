@@ -23,6 +23,7 @@ from other_physics_sensor import (
     noise,
     release,
     respond,
+    rest_of,
     ring,
     step_truths,
 )
@@ -89,6 +90,7 @@ def build_step(plan: StepPlan, folder: Path, rng: np.random.Generator) -> Number
     """Write the releases of 100 N from a sensor of 0.01 V/N, and return its true indices."""
     plant, figures = plan.plant(rng)
     truth = frequency_truths(plant) | step_truths(plant)
+    truth["static_gain"] *= rest_of(plan.softening)  # of this load, as a calibration finds it
     truth["read_static_gain"] = truth["static_gain"]
     sensor = {
         "name": "force sensor",

@@ -198,12 +198,17 @@ class Spring:
     friction: float = 0.0
 
 
+def rest_of(softening: float) -> float:
+    """Return the displacement under the static load, over that of a linear spring."""
+    return float(brentq(lambda q: q * (1.0 - softening * q**2) - 1.0, 0.5, 1.5))
+
+
 def ring(spring: Spring, ramp_s: float, corner_hz: float, times_s: FloatArray) -> FloatArray:
     """Return the displacement behind a lag (0: none), at times after a ramp of the load that begins at time 0."""
     if spring.friction:
         return _ring_with_friction(spring, ramp_s, corner_hz, times_s)
     w, lag_w = 2.0 * np.pi * spring.frequency_hz, 2.0 * np.pi * corner_hz
-    rest = float(brentq(lambda q: q * (1.0 - spring.softening * q**2) - 1.0, 0.5, 1.5))
+    rest = rest_of(spring.softening)
 
     def motion(t: float, x: FloatArray) -> list[float]:
         force = max(0.0, 1.0 - t / ramp_s) - x[0] * (1.0 - spring.softening * x[0] ** 2)
