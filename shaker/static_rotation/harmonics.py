@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from shaker.static_rotation.rounding import Rounding
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
@@ -141,8 +142,8 @@ HIGHEST_ORDER = 8  # of a harmonic
 MIN_DOF = 3  # of a fit with an additional term
 LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
 SAME_ANGLE_RAD = 1e-3  # about 0.06°
-ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
-"""Relative precision of computed numbers, that of the finest display, and the tolerance of a whole number."""
+PRECISION = 1e-12  # relative, of computed numbers
+LOOP_SHOWN = 2.0  # square of a difference over its variance from which it is hysteresis rather than noise
 
 
 class Reversal(NamedTuple):
@@ -162,8 +163,7 @@ class AngleFit(
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
     cos 1, sin 1, and if significant cos n, sin n, drift (over the order of the readings, from -1 to 1) and sense
     (difference between forward and backward rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a
-    reading with `dof` degrees of freedom. The covariance of coefficients p, q of channels c, d is noise[c,
-    d]·inverse[p, q].
+    reading with `dof` degrees of freedom, which includes its `rounding`.
     """
 
     channels: tuple[str, ...]
@@ -175,6 +175,7 @@ class AngleFit(
     inverse: FloatArray
     noise: FloatArray
     dof: float
+    rounding: Rounding
 
     @property
     def residual(self) -> FloatArray:
@@ -192,10 +193,32 @@ class AngleFit(
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
-        """Return the noise covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude."""
+        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, of noise without rounding."""
         indices = self._columns(order)
-        turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], self.noise))
+        turn, noise = np.array([[1.0, -1.0], [-1.0, 1.0]]), self.rounding.without(self.noise)
+        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], noise))
+
+    def rounding_effect(self, order: int = 1) -> FloatArray:
+        """Return the effect (2C, r) of rounding on [all Re, all Im] of a harmonic's amplitude."""
+        indices, sign = self._columns(order), np.array([[1.0], [-1.0]])
+        estimator = sign * (self.inverse @ self.design.T)[indices]
+        channels = [estimator] * len(self.channels)
+        return self.rounding.effect(channels, sign * self.coefficient[indices], self.noise)
+
+    def loop(self) -> FloatArray:
+        """Return the first harmonic (C,) of the difference between both senses, less its noise; 0 within noise."""
+        sense = turning_sense(self.angle_rad)
+        if np.ptp(sense) == 0.0:
+            return np.zeros(len(self.channels))
+        names = [name for name in self.terms if not name.startswith("sense")]
+        design = np.stack([self.design[:, self.terms.index(name)] for name in names], axis=1)
+        design = np.column_stack([design, *(0.5 * sense * _periodic(name, self.angle_rad) for name in names[:3])])
+        if len(design) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
+            return np.zeros(len(self.channels))
+        inverse = np.linalg.inv(design.T @ design)
+        size = np.sum((inverse[-2:] @ design.T @ self.reading) ** 2, axis=0)
+        variance = np.trace(inverse[-2:, -2:]) * np.diag(self.noise)
+        return np.asarray(np.sqrt(np.where(size > LOOP_SHOWN * variance, size - variance, 0.0)))
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
@@ -219,13 +242,16 @@ class AngleFit(
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
 
 
-def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
+def fit_angles(
+    channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray, digit: FloatArray | None = None
+) -> AngleFit:
     """Fit offset, first harmonic and significant further terms to readings (N, C) at angles (N,).
 
     Further terms are harmonics as far as the angles resolve them, a linear drift and, if the head was rotated both
     ways, the difference between both senses. The most significant term enters first. It must be significant in an F
     test of one channel with a chance below 1 in 1000 for all channels together. The variance of a reading is at least
-    a²/12 for its last digit a.
+    a²/12 for its last `digit` a (C,), by default that of the readings. Equal readings share their rounding
+    error.
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -237,10 +263,10 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
         raise ValueError(f"angle_rad: expected at least four angles over most of a revolution, found {spread}")
-    digit = np.array([_last_digit(column) for column in values.T])
-    floor = digit**2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
-    names = [name for name, _ in terms]
-    while (entering := _clearest(design, blocks, values, floor)) is not None:
+    rounding = Rounding.of(values, digit)
+    computed = (PRECISION * np.abs(values).max(axis=0)) ** 2
+    floor, names = rounding.variance + computed, [name for name, _ in terms]
+    while (entering := _clearest(design, blocks, values, rounding.repeats * floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
         design = np.column_stack([design, *(column for _, column in block)])
@@ -250,7 +276,7 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     dof = len(design) - len(names)
     noise = residual.T @ residual / dof
     noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
-    return AngleFit(channels, angle, values, tuple(names), design, coefficient, inverse, noise, float(dof))
+    return AngleFit(channels, angle, values, tuple(names), design, coefficient, inverse, noise, float(dof), rounding)
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
@@ -295,19 +321,6 @@ def _distinct(angle: FloatArray) -> FloatArray:
     distinct = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
     wraps = len(distinct) > 1 and distinct[0] + 2.0 * np.pi - distinct[-1] < SAME_ANGLE_RAD
     return np.asarray(distinct[:-1] if wraps else distinct)
-
-
-def _last_digit(column: FloatArray) -> float:
-    """Return the last digit of all readings, 1, 2, 5 times 10ⁿ, or 0."""
-    largest = float(np.abs(column).max())
-    if FINEST * largest < np.finfo(np.float64).tiny:
-        return 0.0
-    for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
-        for mantissa in (5.0, 2.0, 1.0):
-            steps = column / (mantissa * 10.0**power)
-            if np.all(np.abs(steps - np.round(steps)) < WHOLE):
-                return float(mantissa * 10.0**power)
-    return 0.0
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:

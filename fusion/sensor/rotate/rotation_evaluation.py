@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import PERCENT
-from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import bench_notices as declared
@@ -26,13 +25,12 @@ from fusion.sensor.rotate.rotation_readings import (
     RotationRecording,
     RotationScatter,
     WeighedBody,
-    first_harmonics,
+    gravity_record,
     load_bodies,
     local_gravity,
-    read_rotation,
+    read_rotations,
     recording_bodies,
     scatter_components,
-    table_path,
     unknown_volume,
 )
 from shaker.labels import AXES, LOAD_COMPONENTS
@@ -91,8 +89,8 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         manifest.check_command("rotate")
     check_one_rig(manifests)
     gravity, air = local_gravity(manifests[0]), manifests[0].rig.surroundings.air
-    recordings, outputs, notices = _read(manifests)
-    records = tuple(first_harmonics(recording) for recording in recordings)
+    recordings, outputs, notices = read_rotations(manifests)
+    records = tuple(gravity_record(recording) for recording in recordings)
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
     mass_inputs = MassInputs(recordings, records, weights, gravity, air)
@@ -119,23 +117,6 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
-
-
-def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
-    """Return all recordings, which must have the same channels."""
-    read = [read_rotation(manifest) for manifest in manifests]
-    first, outputs, _ = read[0]
-    for recording, _, _ in read[1:]:
-        if recording.fit.channels != first.fit.channels or recording.unit != first.unit:
-            found, expected = (
-                ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
-                for r in (recording, first)
-            )
-            file = table_path(recording.manifest)
-            raise InputError(
-                declared.DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found
-            )
-    return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
 def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOutputs) -> Iterator[Notice]:
@@ -238,7 +219,8 @@ class MassInputs:
     @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
         """Forces that determine each weight individually, as (index in `WEIGHT_AND_MOMENT_ROWS`, name)."""
-        finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
+        rows = self.weights.value[: ROWS * len(self.recordings)].reshape(-1, ROWS)
+        finite = np.isfinite(rows[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
 
@@ -274,8 +256,9 @@ class _PerturbedInputs:
         self.uncertain = np.flatnonzero(self.u > 0.0)
         steps = np.diag(self.u)[:, self.uncertain]
         variants = value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])
-        start, self.mass_inputs = ROWS * len(mass_inputs.recordings), mass_inputs
-        self.fit = variants[:start].reshape(-1, ROWS, variants.shape[1])
+        main, start, self.mass_inputs = ROWS * len(mass_inputs.recordings), len(fit.value), mass_inputs
+        self.fit = variants[:main].reshape(-1, ROWS, variants.shape[1])
+        self.offset = variants[main:start]
         self.gravity, self.air, self.volume = variants[start : start + 3]
         self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(mass_inputs.bodies)}
 
@@ -404,7 +387,7 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
         for i, component in mass_inputs.single_forces[r]:
             yield QuantityLabel("N", "weight", "weight in air", component, name), row[UNKNOWNS_PER_RECORD + i - 1]
         yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
-        _, along, across = mass_inputs.records[r].frame
+        along, across = mass_inputs.records[r].frame
         tilt = np.outer(along, row[5]) + np.outer(across, row[6])
         for i, axis in enumerate(AXES):
             if abs(along[i]) + abs(across[i]) > 0.5:

@@ -1,0 +1,432 @@
+"""Outputs per direction of gravity, from readings of a sensor in any orientations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from shaker.static_rotation.masses import OutputEffect
+from shaker.static_rotation.rounding import Rounding, last_digit
+from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
+from shakercal._common.propagation import covariance_root
+
+SAME_DIRECTION_RAD = 1e-3  # about 0.06°
+MIN_ORIENTATIONS = 6
+MIN_SPREAD, SECOND_SPREAD = 1e-3, 0.1
+"""Standard deviation of gravity's direction along an axis from which outputs along it are fitted, and that which the
+second axis must have."""
+MOST_POSES = 1000  # beyond which neighbouring ones are averaged
+MIN_DRIFT_POSES = 12  # from which a linear drift is always fitted
+CHANCE = 1e-3  # of a false term
+SAME_SCATTER = 0.05  # chance below which the scatter of poses exceeds that of repeated readings
+WALK_GAIN = 2.71
+"""Twice the gain in log likelihood of a random walk: 5 % of series without any exceed it (Self and Liang 1987)."""
+LOOP_SHOWN = 3.0  # square of a difference over its variance from which it is hysteresis rather than noise
+WALKS = np.geomspace(1e-2, 1e4, 25)  # variance of a random walk over that of the noise
+PRECISION = 1e-12  # relative, of computed numbers
+UNKNOWN_TILT_RAD = 0.1
+
+
+@dataclass(frozen=True, repr=False)
+class OrientationSeries(Arrays, shapes="direction N 3; tilt N 2 3; time N"):
+    """Gravity's `direction` (N, 3) in sensor axes, its change `tilt` (N, 2, 3) per rad of two tilts of the world.
+
+    `time` (N,): of the readings in s, or their order.
+    """
+
+    direction: FloatArray
+    tilt: FloatArray
+    time: FloatArray
+
+
+@dataclass(frozen=True, repr=False)
+class OrientationFit(
+    Arrays,
+    shapes="channels C; direction N 3; reading N C; time N; count N; design N P; coefficient P C; basis K 3; noise C C",
+):
+    """Readings (N, C) of N poses as constant, outputs along K axes of gravity, and drift.
+
+    reading = design · coefficient + residual. `terms` (P,): constant, "gravity 1" … along the rows of `basis` (K, 3)
+    from the mean direction, and drift (over the time, from -1 to 1). `covariance` (T·C, T·C): of noise with `dof`
+    degrees of freedom, of the T = K + 1 terms of gravity and the constant. `effects`: of further causes on them.
+    `noise` (C, C): covariance of the reading of a pose. `down_tilt` (2,): estimated tilt of the world, rad. `walk`
+    (C,): variance of a random walk over the series, over that of the noise. `loop` (C,): difference between readings
+    after a rise and after a fall.
+    """
+
+    channels: tuple[str, ...]
+    direction: FloatArray
+    reading: FloatArray
+    time: FloatArray
+    count: IntArray
+    terms: tuple[str, ...]
+    design: FloatArray
+    coefficient: FloatArray
+    basis: FloatArray
+    covariance: FloatArray
+    noise: FloatArray
+    dof: float
+    effects: tuple[OutputEffect, ...]
+    down_tilt: FloatArray
+    walk: FloatArray
+    loop: FloatArray
+
+    @property
+    def residual(self) -> FloatArray:
+        """Residuals (N, C) of the readings."""
+        return np.asarray(self.reading - self.design @ self.coefficient)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes along which gravity varies."""
+        return len(self.basis)
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean direction (3,) of gravity."""
+        return np.asarray(self.direction.mean(axis=0))
+
+    @property
+    def u(self) -> FloatArray:
+        """Standard uncertainty (T, C) of the terms, of all causes."""
+        variance = np.diag(self.covariance) + sum(np.sum(e.effect**2, axis=1) for e in self.effects)
+        return np.sqrt(variance).reshape(-1, len(self.channels))
+
+    @property
+    def condition(self) -> float:
+        """Condition number of offset and three axes of gravity, infinite if an axis is missing."""
+        size = np.linalg.svd(np.column_stack([np.ones(len(self.direction)), self.direction]), compute_uv=False)
+        return float(size[0] / size[-1]) if self.axes == 3 and size[-1] > 0.0 else np.inf
+
+    def further_pose(self) -> FloatArray:
+        """Return the direction (3,) of gravity, an axis up or down, that the poses determine least."""
+        design = np.column_stack([np.ones(len(self.direction)), self.direction])
+        candidates = np.column_stack([np.ones(6), np.vstack([np.eye(3), -np.eye(3)])])
+        normal = design.T @ design + MIN_SPREAD**2 * np.eye(4)
+        return np.asarray(candidates[np.argmax(np.sum(candidates @ np.linalg.inv(normal) * candidates, axis=1)), 1:])
+
+
+def fit_orientations(
+    channels: tuple[str, ...],
+    series: OrientationSeries,
+    reading: FloatArray,
+    digit: FloatArray | None = None,
+    u_pose_rad: float = 0.0,
+    u_down_rad: float | None = None,
+) -> OrientationFit:
+    """Fit constant, gravity and drift to readings (N, C) in any orientations.
+
+    Parameters
+    ----------
+    channels
+        names of the outputs
+    series
+        gravity's direction of every reading
+    reading
+        readings (N, C); consecutive ones of one direction are one pose, of which the mean is fitted
+    digit
+        last digit (C,) of the readings, by default found from them
+    u_pose_rad
+        standard uncertainty of every orientation about each axis, rad, independent from pose to pose
+    u_down_rad
+        that of down in the world; by default its tilt is fitted if it is significant
+
+    Returns
+    -------
+    OrientationFit : outputs per direction of gravity with their covariance
+
+    Raises
+    ------
+    ValueError : fewer than six orientations, or gravity along one line only
+
+    Notes
+    -----
+    A linear drift is fitted to 12 poses or more, to fewer if it is significant. A random walk enters the covariance of
+    a channel if its restricted likelihood asks for it. Repeated readings in one pose supply noise, which is combined
+    with the scatter of the poses if that is not larger.
+    """
+    values = np.asarray(reading, np.float64)
+    check_shape("reading", values, (len(series.time), len(channels)))
+    poses, means, count, within = _poses(series, values)
+    basis = _basis(poses.direction)
+    place = _places(poses.direction)
+    if place.max() + 1 < MIN_ORIENTATIONS or len(basis) < 2:
+        raise ValueError(f"orientation: expected at least six different orientations, found {place.max() + 1}")
+    digits = np.array([last_digit(column) for column in values.T]) if digit is None else digit
+    rounding = Rounding.of(means, digits * _undithered(digits, within, count))
+    floor = rounding.variance + (PRECISION * np.abs(values).max(axis=0)) ** 2
+    problem = _Problem(channels, poses, means, count, basis, within, rounding, floor)
+    drifting = len(means) >= MIN_DRIFT_POSES or problem.drifts()
+    problem = replace(problem, drift=drifting)
+    return problem.solved(place, u_pose_rad, u_down_rad)
+
+
+def linear_misfit(direction: FloatArray, reading: FloatArray) -> float:
+    """Return the share of the variance of readings (N, C) that gravity's direction (N, 3) does not explain."""
+    design = np.column_stack([np.ones(len(direction)), direction])
+    residual = reading - design @ np.linalg.lstsq(design, reading, rcond=None)[0]
+    total = np.sum((reading - reading.mean(axis=0)) ** 2, axis=0)
+    changing = total > 0.0
+    return float(np.mean(np.sum(residual**2, axis=0)[changing] / total[changing])) if changing.any() else 0.0
+
+
+def _poses(
+    series: OrientationSeries, values: FloatArray
+) -> tuple[OrientationSeries, FloatArray, IntArray, tuple[FloatArray, int]]:
+    """Return the means of consecutive readings in one direction, their numbers, and their covariance within a pose."""
+    starts = [0]
+    for i, direction in enumerate(series.direction):
+        if np.linalg.norm(direction - series.direction[starts[-1]]) > SAME_DIRECTION_RAD:
+            starts.append(i)
+    joined = -(-len(starts) // MOST_POSES)
+    owner = np.zeros(len(values), np.int64)
+    owner[starts[1:]] = 1
+    pose = np.cumsum(owner)
+    counts, means = _mean(pose, values)
+    left = values - means[pose]
+    freedom = len(values) - len(counts)
+    within = left.T @ left / max(freedom, 1) * float(np.mean(1.0 / counts))
+    block = np.arange(len(counts)) // joined
+    mean = [_mean(block, _mean(pose, array)[1])[1] for array in (series.direction, series.tilt, series.time, values)]
+    number = np.bincount(block, counts).astype(np.int64)
+    return OrientationSeries(*mean[:3]), mean[3], number, (within / joined, freedom)
+
+
+def _undithered(digit: FloatArray, within: tuple[FloatArray, int], count: IntArray) -> FloatArray:
+    """Return the share (C,) of the rounding error that a mean of `count` noisy readings keeps."""
+    number = 1.0 / float(np.mean(1.0 / count))
+    noise = np.diag(within[0]) * number / np.where(digit > 0.0, digit, np.inf) ** 2
+    kept = np.exp(-4.0 * np.pi**2 * np.maximum(noise - 1.0 / 12.0, 0.0))
+    return np.asarray(np.sqrt(np.maximum(kept, 1.0 / number)))
+
+
+def _mean(group: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the sizes of groups and the mean of values (N, ...) in each."""
+    size = np.bincount(group).astype(np.float64)
+    total = np.zeros((len(size), *values.shape[1:]))
+    np.add.at(total, group, values)
+    return size, total / size.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def _basis(direction: FloatArray) -> FloatArray:
+    """Return the axes (K, 3) along which gravity varies."""
+    _, size, axes = np.linalg.svd(direction - direction.mean(axis=0), full_matrices=False)
+    spread = size / np.sqrt(len(direction))
+    if len(spread) < 2 or spread[1] < SECOND_SPREAD:
+        raise ValueError(
+            "orientation: expected gravity along at least two axes of the sensor, found it along "
+            f"({', '.join(f'{x:.2f}' for x in axes[0])}) alone; add poses about another axis"
+        )
+    return np.asarray(axes[spread > MIN_SPREAD])
+
+
+def _places(direction: FloatArray) -> IntArray:
+    """Return the index (N,) of every direction among the different ones."""
+    near = np.linalg.norm(direction[:, None] - direction, axis=2) < SAME_DIRECTION_RAD
+    return np.asarray(np.unique(np.argmax(near, axis=1), return_inverse=True)[1].ravel(), np.int64)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Readings (N, C) of poses as a linear model of gravity; `within`: covariance of a mean, with its freedom."""
+
+    channels: tuple[str, ...]
+    series: OrientationSeries
+    reading: FloatArray
+    count: IntArray
+    basis: FloatArray
+    within: tuple[FloatArray, int]
+    rounding: Rounding
+    floor: FloatArray
+    drift: bool = False
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Time (N,) from -1 to 1."""
+        time = self.series.time
+        return np.asarray(2.0 * (time - time.min()) / np.ptp(time) - 1.0)
+
+    @cached_property
+    def design(self) -> FloatArray:
+        """Columns (N, P): axes of gravity, constant, drift."""
+        along = (self.series.direction - self.series.direction.mean(axis=0)) @ self.basis.T
+        columns = [along, np.ones((len(along), 1))] + ([self.time[:, None]] if self.drift else [])
+        return np.hstack(columns)
+
+    def drifts(self) -> bool:
+        """Return whether a linear drift is significant in one channel."""
+        from scipy.special import fdtrc
+
+        with_drift = replace(self, drift=True)
+        dof = len(self.reading) - with_drift.design.shape[1]
+        if dof < 1:
+            return False
+        before, after = (np.sum(p.left(self.reading) ** 2, axis=0) for p in (self, with_drift))
+        after = np.maximum(after, dof * self.floor)
+        chance = fdtrc(1, dof, np.maximum(before - after, 0.0) * dof / after)
+        return bool(np.min(chance) < CHANCE / len(self.channels))
+
+    def left(self, values: FloatArray) -> FloatArray:
+        """Return values (N, ...) less their least-squares fit."""
+        basis = np.linalg.qr(self.design)[0]
+        return np.asarray(values - basis @ (basis.T @ values))
+
+    def walks(self) -> FloatArray:
+        """Return the variance (C,) of a random walk over that of the noise, 0 where it is not significant."""
+        if len(self.reading) < MIN_DRIFT_POSES:
+            return np.zeros(len(self.channels))
+        outside = np.linalg.qr(self.design, mode="complete")[0][:, self.design.shape[1] :]
+        size, axes = np.linalg.eigh(outside.T @ self.walk_covariance @ outside)
+        squares = (axes.T @ outside.T @ self.reading) ** 2
+        found = []
+        for c, column in enumerate(squares.T):
+            base = max(float(column.sum()), len(column) * float(self.floor[c]))
+            gains = [0.0]
+            for walk in WALKS:
+                scaled = 1.0 + walk * size
+                left = max(float(np.sum(column / scaled)), len(column) * float(self.floor[c]) * 1e-3)
+                gains.append(-float(np.sum(np.log(scaled))) - len(column) * float(np.log(left / base)))
+            best = int(np.argmax(gains))
+            found.append(WALKS[best - 1] if gains[best] > WALK_GAIN else 0.0)
+        return np.array(found)
+
+    @cached_property
+    def walk_covariance(self) -> FloatArray:
+        """Covariance (N, N) of a random walk of variance 1 over the series."""
+        time = (self.time + 1.0) / 2.0
+        return np.minimum(time[:, None], time)
+
+    def solved(self, place: IntArray, u_pose_rad: float, u_down_rad: float | None) -> OrientationFit:
+        """Return the fit, the tilt of the world estimated with it."""
+        walk, tilt, problem = self.walks(), np.zeros(2), self
+        solution = _Solution.of(self, walk)
+        down: FloatArray = np.zeros((2, 2))
+        if self.series.tilt.any() and u_down_rad != 0.0:
+            for _ in range(3):
+                step, covariance, significant = solution.down_tilt(u_down_rad, tilt)
+                if u_down_rad is None and not significant and not tilt.any():
+                    break
+                tilt, down = tilt + step, covariance
+                moved = self.series.direction + np.tensordot(tilt, self.series.tilt, (0, 1))
+                problem = replace(self, series=replace(self.series, direction=moved))
+                solution = _Solution.of(problem, walk)
+        return solution.result(place, u_pose_rad, tilt, down)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Estimators (C, P, N), coefficients (P, C), roots of the covariances (C, N, N) and noise of a problem."""
+
+    problem: _Problem
+    walk: FloatArray
+    estimator: FloatArray
+    coefficient: FloatArray
+    whitened: FloatArray
+    roots: tuple[FloatArray, ...]
+    noise: FloatArray
+    dof: float
+
+    @staticmethod
+    def of(problem: _Problem, walk: FloatArray) -> _Solution:
+        from scipy.linalg import solve_triangular
+        from scipy.special import fdtrc
+
+        count, design, by_walk = len(problem.reading), problem.design, dict[float, tuple[FloatArray, FloatArray]]()
+        for each in set(walk.tolist()):
+            root = np.linalg.cholesky(np.eye(count) + each * problem.walk_covariance)
+            white = solve_triangular(root, design, lower=True)
+            estimator = np.linalg.solve(white.T @ white, solve_triangular(root, white, lower=True, trans="T").T)
+            by_walk[each] = (root, estimator)
+        roots, estimators = zip(*(by_walk[each] for each in walk.tolist()), strict=True)
+        coefficient = np.stack([e @ y for e, y in zip(estimators, problem.reading.T, strict=True)], axis=1)
+        left = problem.reading - design @ coefficient
+        whitened = np.stack([solve_triangular(r, y, lower=True) for r, y in zip(roots, left.T, strict=True)], axis=1)
+        dof = float(count - design.shape[1])
+        noise = whitened.T @ whitened / dof
+        within, freedom = problem.within
+        if freedom and not walk.any() and np.all(np.diag(within) > 0.0):
+            chance = fdtrc(dof, freedom, np.diag(noise) / np.diag(within))
+            if np.min(chance) > SAME_SCATTER / len(chance):
+                noise, dof = (dof * noise + freedom * within) / (dof + freedom), dof + freedom
+        noise = noise + np.diag(np.maximum(0.0, problem.floor - np.diag(noise)))
+        return _Solution(problem, walk, np.stack(estimators), coefficient, whitened, roots, noise, dof)
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Output (C, 3) per direction of gravity."""
+        return np.asarray(self.coefficient[: len(self.problem.basis)].T @ self.problem.basis)
+
+    def white_left(self, columns: FloatArray) -> FloatArray:
+        """Return columns (N, C) of every channel less their fit, whitened, over the noise."""
+        from scipy.linalg import solve_triangular
+
+        left = [y - self.problem.design @ (e @ y) for e, y in zip(self.estimator, columns.T, strict=True)]
+        white = [solve_triangular(r, y, lower=True) for r, y in zip(self.roots, left, strict=True)]
+        return np.stack(white, axis=1) / np.sqrt(np.diag(self.noise))
+
+    def tilted(self) -> FloatArray:
+        """Return the change (2, N, C) of the readings per tilt of the world."""
+        return np.einsum("njx,cx->jnc", self.problem.series.tilt, self.gradient)
+
+    def down_tilt(self, u_down_rad: float | None, tilt: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+        """Return a step (2,) of the tilt of the world, its covariance, and whether it is significant."""
+        from scipy.special import fdtrc
+
+        columns = np.stack([self.white_left(each).ravel() for each in self.tilted()], axis=1)
+        left = (self.whitened / np.sqrt(np.diag(self.noise))).ravel()
+        prior = np.eye(2) / (UNKNOWN_TILT_RAD if u_down_rad is None else u_down_rad) ** 2
+        covariance = np.linalg.inv(columns.T @ columns + prior)
+        step = covariance @ (columns.T @ left - prior @ tilt)
+        freedom = self.dof * len(self.problem.channels)
+        left_over = max(float(np.sum((left - columns @ step) ** 2)) / freedom, np.finfo(np.float64).tiny)
+        ratio = float(step @ (columns.T @ columns) @ step) / 2.0 / left_over
+        return step, covariance, bool(fdtrc(2.0, freedom, ratio) < CHANCE)
+
+    def pose_errors(self, place: IntArray, u_pose_rad: float) -> tuple[FloatArray, FloatArray]:
+        """Return the effect (T·C, r) of the errors of the poses on the terms, and their variance (C,) in a reading."""
+        direction, terms = self.problem.series.direction, len(self.problem.basis) + 1
+        lever = u_pose_rad * np.cross(direction[None], self.gradient[:, None])
+        effect = np.zeros((terms, len(self.problem.channels), place.max() + 1, 3))
+        each = np.einsum("ctn,cnx->ntcx", self.estimator[:, :terms], lever)
+        np.add.at(effect.transpose(2, 0, 1, 3), place, each)
+        wide = effect.reshape(terms * len(self.problem.channels), -1)
+        return covariance_root(wide @ wide.T), np.mean(np.sum(lever**2, axis=2), axis=1)
+
+    def loop(self) -> FloatArray:
+        """Return the difference (C,) between readings after a rise and after a fall, less its noise; 0 within noise."""
+        gravity = self.problem.design[:, : len(self.problem.basis)] @ self.coefficient[: len(self.problem.basis)]
+        sense = 0.5 * np.vstack([np.zeros((1, gravity.shape[1])), np.sign(np.diff(gravity, axis=0))])
+        columns = self.white_left(sense)
+        size = np.sum(columns**2, axis=0)
+        size = np.where(size > 0.0, size, np.inf)
+        found = np.sum(columns * self.whitened / np.sqrt(np.diag(self.noise)), axis=0) / size
+        return np.asarray(np.sqrt(np.where(found**2 * size > LOOP_SHOWN, found**2 - 1.0 / size, 0.0)))
+
+    def result(self, place: IntArray, u_pose_rad: float, tilt: FloatArray, down: FloatArray) -> OrientationFit:
+        """Return the fit with the effects of all causes on the terms of gravity and the constant."""
+        problem, terms = self.problem, len(self.problem.basis) + 1
+        noise, effects = problem.rounding.without(self.noise), list[OutputEffect]()
+        gravity = self.coefficient[:terms] * (np.arange(terms) < terms - 1)[:, None]
+        rounded = problem.rounding.effect([e[:terms] for e in self.estimator], gravity, self.noise)
+        effects.append(OutputEffect("rounding", rounded))
+        if u_pose_rad > 0.0:
+            effect, variance = self.pose_errors(place, u_pose_rad)
+            effects.append(OutputEffect("orientation of the poses", effect))
+            size = np.where(np.diag(noise) > 0.0, np.diag(noise), np.inf)
+            least = np.minimum(np.diag(problem.within[0]) / size, 1.0)
+            share = np.sqrt(np.maximum(1.0 - variance / size, least))
+            noise = noise * np.outer(share, share)
+        if down.any():
+            tilted = np.einsum("ctn,jnc->tcj", self.estimator[:, :terms], self.tilted()).reshape(-1, 2)
+            effects.append(OutputEffect("direction of down", tilted @ covariance_root(down)))
+        spread = np.stack([e[:terms] @ root for e, root in zip(self.estimator, self.roots, strict=True)])
+        covariance = np.einsum("ctn,dun,cd->tcud", spread, spread, noise)
+        names = (*(f"gravity {k}" for k in range(1, terms)), "constant", *(["drift"] if problem.drift else []))
+        size = terms * len(problem.channels)
+        return OrientationFit(
+            problem.channels, problem.series.direction, problem.reading, problem.series.time, problem.count, names,
+            problem.design, self.coefficient, problem.basis, covariance.reshape(size, size), self.noise, self.dof,
+            tuple(effects), tilt, self.walk, self.loop(),
+        )  # fmt: skip
