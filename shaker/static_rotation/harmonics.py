@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.static_rotation.rounding import Rounding
+from shaker.static_rotation.rounding import Rounding, last_digit
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
@@ -143,7 +143,6 @@ MIN_DOF = 3  # of a fit with an additional term
 LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
 SAME_ANGLE_RAD = 1e-3  # about 0.06°
 PRECISION = 1e-12  # relative, of computed numbers
-LOOP_SHOWN = 2.0  # square of a difference over its variance from which it is hysteresis rather than noise
 
 
 class Reversal(NamedTuple):
@@ -200,25 +199,24 @@ class AngleFit(
 
     def rounding_effect(self, order: int = 1) -> FloatArray:
         """Return the effect (2C, r) of rounding on [all Re, all Im] of a harmonic's amplitude."""
-        indices, sign = self._columns(order), np.array([[1.0], [-1.0]])
-        estimator = sign * (self.inverse @ self.design.T)[indices]
-        channels = [estimator] * len(self.channels)
-        return self.rounding.effect(channels, sign * self.coefficient[indices], self.noise)
+        estimators = [self.inverse @ self.design.T] * len(self.channels)
+        columns = self._columns(order)
+        effect = self.rounding.effect(estimators, self.design, self.reading, self.coefficient, self.noise, columns)
+        return np.asarray(effect * np.repeat([1.0, -1.0], len(self.channels))[:, None])
 
     def loop(self) -> FloatArray:
-        """Return the first harmonic (C,) of the difference between both senses, less its noise; 0 within noise."""
-        sense = turning_sense(self.angle_rad)
+        """Return the square (C,) of the first harmonic of the difference between both senses, and its variance."""
+        sense, none = turning_sense(self.angle_rad), np.zeros((2, len(self.channels)))
         if np.ptp(sense) == 0.0:
-            return np.zeros(len(self.channels))
+            return none
         names = [name for name in self.terms if not name.startswith("sense")]
         design = np.stack([self.design[:, self.terms.index(name)] for name in names], axis=1)
         design = np.column_stack([design, *(0.5 * sense * _periodic(name, self.angle_rad) for name in names[:3])])
         if len(design) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
-            return np.zeros(len(self.channels))
+            return none
         inverse = np.linalg.inv(design.T @ design)
         size = np.sum((inverse[-2:] @ design.T @ self.reading) ** 2, axis=0)
-        variance = np.trace(inverse[-2:, -2:]) * np.diag(self.noise)
-        return np.asarray(np.sqrt(np.where(size > LOOP_SHOWN * variance, size - variance, 0.0)))
+        return np.stack([size, np.trace(inverse[-2:, -2:]) * np.diag(self.noise)])
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
@@ -263,10 +261,11 @@ def fit_angles(
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
         raise ValueError(f"angle_rad: expected at least four angles over most of a revolution, found {spread}")
-    rounding = Rounding.of(values, digit)
+    rounding = Rounding(np.array([last_digit(column) for column in values.T]) if digit is None else digit)
     computed = (PRECISION * np.abs(values).max(axis=0)) ** 2
+    repeats = len(angle) / np.array([len(np.unique(column)) for column in values.T])  # of one rounding error
     floor, names = rounding.variance + computed, [name for name, _ in terms]
-    while (entering := _clearest(design, blocks, values, rounding.repeats * floor)) is not None:
+    while (entering := _clearest(design, blocks, values, repeats * floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
         design = np.column_stack([design, *(column for _, column in block)])

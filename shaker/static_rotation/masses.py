@@ -48,6 +48,12 @@ class SensorOutputs(Arrays, shapes="sensitivity C 6; u C 6"):
         identity = self.inverse @ self.sensitivity
         return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
 
+    @cached_property
+    def forces(self) -> BoolArray:
+        """Mask (C,) of outputs that respond to forces rather than moments."""
+        size = np.abs(self.sensitivity)
+        return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
+
 
 class OutputEffect(NamedTuple):
     """Stated errors of one name: effect (T, r) of r unit deviations on the terms of a record."""
@@ -57,7 +63,7 @@ class OutputEffect(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3; constant O; mean 3; loop C"):
+class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3; constant O; mean 3; loop 2 C"):
     """One recording as outputs per direction of gravity.
 
     Output = constant + Σ f_k·`response`_k (K, C), where gravity in sensor axes is `mean` + Σ f_k·`direction`_k (K, 3).
@@ -65,8 +71,8 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
     harmonic; `head` tells so. `covariance`, `dof`: of noise, in the order of `response`, then of `constant` (C,) where
     there is one. `stated`: further errors of these terms. `axis`, `down` (3,): unit vectors about which the sensor's
     axes may deviate from the stated ones. `u_frame` (3,): standard uncertainty of this rotation about the axis and of
-    its two tilts, rad, infinite where unknown; `frame_stated`: they are a statement. `loop` (C,): difference between
-    the senses of a rotation, by up to which the mean of both may be off.
+    its two tilts, rad, infinite where unknown; `frame_stated`: they are a statement. `loop` (2, C): square of
+    the difference between the senses of a rotation, and its variance of noise.
     """
 
     name: str
@@ -97,6 +103,16 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
         along = along / np.linalg.norm(along)
         return along, np.cross(self.axis, along)
 
+    def loop_share(self, outputs: BoolArray) -> float:
+        """Return the loop over the output, of some outputs together, less its noise; 0 within noise."""
+        square, variance, size = self.loop[0, outputs], self.loop[1, outputs], np.sum(self.response**2, axis=0)[outputs]
+        weight = np.divide(size, variance, out=np.zeros(len(size)), where=variance > 0.0)
+        ratio = np.divide(square, variance, out=np.zeros(len(size)), where=variance > 0.0)
+        if not weight.any() or weight @ ratio < LOOP_SHOWN * weight.sum():
+            return 0.0
+        share = np.divide(square - variance, size, out=np.zeros(len(size)), where=weight > 0.0)
+        return float(np.sqrt(max(weight**2 @ share / np.sum(weight**2), 0.0)))
+
     @cached_property
     def variance(self) -> FloatArray:
         """Variance of every element of `response`, in its order, of all causes."""
@@ -118,7 +134,7 @@ def head_record(
     response, free = np.stack([amplitude.real, amplitude.imag]), (np.inf, TILT_RAD, TILT_RAD)
     none = np.zeros(0)
     return RotationRecord(
-        name, response, covariance, dof, direction, axis, down, none, down - across, np.zeros(len(amplitude)), free
+        name, response, covariance, dof, direction, axis, down, none, down - across, np.zeros((2, len(amplitude))), free
     )
 
 
@@ -177,6 +193,12 @@ def true_direction(record: RotationRecord, rotation: FloatArray, direction: Floa
     return np.asarray(direction @ turn.as_matrix().T)
 
 
+def rotation_vector(record: RotationRecord, unknowns: FloatArray) -> FloatArray:
+    """Return the rotation vector (3,) of a record's unknowns, from the stated to the true axes, small tilts."""
+    along, across = record.frame
+    return np.asarray(unknowns[5] * across - unknowns[6] * along - unknowns[4] * record.axis)
+
+
 # Weights, first moments and masses from the outputs per direction of gravity.
 
 Number = TypeVar("Number", float, FloatArray)
@@ -184,6 +206,9 @@ ROWS = UNKNOWNS_PER_RECORD + FORCES
 """Numbers of a recording in `WeightFit`: its unknowns, then the weight from each force component."""
 LEVER_M, TILT_RAD = 1.0, 0.1
 """Standard deviations of the priors without a statement: lever of the weight, tilt of the axis."""
+LOOP_SHOWN = 2.5
+"""Square of a loop over its variance from which it is hysteresis: 3 outputs without any exceed it once in 17."""
+FEW_NOISE_DOF = 4.0  # of noise, with which an output's variance counts as much as the mean of its kind
 HEAD_MIXING = np.array([[[0.0, -0.5], [-0.5, 0.0]], [[-0.5, 0.0], [0.0, 0.5]]])
 """Change (2, 2) of cos θ and -sin θ by errors cos 2θ and sin 2θ of an indexing head, rad."""
 USUAL_LEVER_M = 0.1
@@ -312,7 +337,7 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     if not agrees(fit.tests[1]):
         fit = _explained(fit, 0, 1)
     if not agrees(fit.tests[0]):
-        fit = _explained(fit, 0 if fit.problem.forces.all() else 1, 0)
+        fit = _explained(fit, 0 if fit.problem.outputs.forces.all() else 1, 0)
     return _result(fit)
 
 
@@ -367,20 +392,14 @@ class _WeightProblem:
         """Standard deviation of every row from `departure`, moments at the usual lever."""
         lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
         size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
-        size = size * np.where(self.forces, *self.departure)
+        size = size * np.where(self.outputs.forces, *self.departure)
         pairs = zip(self.records, self.weights, strict=True)
         return np.concatenate([np.tile(weight * size, len(record.response)) for record, weight in pairs])
 
     @cached_property
-    def forces(self) -> BoolArray:
-        """Mask (C,) of outputs that respond to forces rather than moments."""
-        size = np.abs(self.outputs.sensitivity)
-        return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
-
-    @cached_property
     def force_rows(self) -> BoolArray:
         """Mask of the rows of force outputs."""
-        return np.concatenate([np.tile(self.forces, len(record.response)) for record in self.records])
+        return np.concatenate([np.tile(self.outputs.forces, len(record.response)) for record in self.records])
 
     @cached_property
     def elements(self) -> IntArray:
@@ -395,8 +414,17 @@ class _WeightProblem:
     @cached_property
     def weight(self) -> FloatArray:
         """One over the variance of every row."""
-        variance = np.concatenate([record.variance for record in self.records])
+        variance = np.concatenate([self._variance(record) for record in self.records])
         return np.asarray(1.0 / (variance + self.departures**2))
+
+    def _variance(self, record: RotationRecord) -> FloatArray:
+        """Return the variance of every row, drawn to the mean of its kind where few readings tell the noise."""
+        variance = record.variance.reshape(record.response.shape)
+        share = FEW_NOISE_DOF / (FEW_NOISE_DOF + record.dof)
+        mean = np.zeros_like(variance)
+        for kind in (self.outputs.forces, ~self.outputs.forces):
+            mean[:, kind] = variance[:, kind].mean() if kind.any() else 0.0
+        return np.asarray((1.0 - share) * variance + share * mean).ravel()
 
     @cached_property
     def prior(self) -> FloatArray:
@@ -453,7 +481,7 @@ class _WeightSolution:
     @staticmethod
     def of(problem: _WeightProblem, start: FloatArray | None = None) -> _WeightSolution:
         point = problem.point(problem.start if start is None else start)
-        for _ in range(2 if start is None else 1):  # a gain that is small against the loss of a far start may be large against the noise
+        for _ in range(2 if start is None else 1):  # a gain small against the loss of a far start may exceed the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point
         normal, _ = point.normal
         scale = 1.0 / np.sqrt(np.diag(normal))
@@ -473,7 +501,7 @@ class _WeightSolution:
     def _force_freedom(self, r: int) -> int:
         """Return the number of force rows of a recording less that of the unknowns that they determine."""
         problem, record = self.problem, self.problem.records[r]
-        rows = int(problem.forces.sum()) * len(record.response)
+        rows = int(problem.outputs.forces.sum()) * len(record.response)
         if record.frame_stated:
             return max(0, rows - 1)
         unknowns = self.point.parameters[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
@@ -527,9 +555,9 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
         yield WeightErrorSource(f"noise of {record.name}", "A", record.dof, noise)
         for stated in record.stated:
             yield WeightErrorSource(stated.name, "B", np.inf, by_term @ stated.effect)
-        loop = (record.response * _loop_share(problem.records, record)).ravel() / np.sqrt(3.0)
-        forces = np.tile(problem.forces, len(record.response))
-        loops += by_term[:, : len(loop)] @ np.stack([loop * forces, loop * ~forces], axis=1)
+        for kind, outputs_of_kind in enumerate((problem.outputs.forces, ~problem.outputs.forces)):
+            share = hysteresis_share(problem.records, record, outputs_of_kind) / np.sqrt(3.0)
+            loops[:, kind] += by_term[:, : record.response.size] @ (share * record.response * outputs_of_kind).ravel()
     if loops.any():
         yield WeightErrorSource(HYSTERESIS_SOURCE, "B", np.inf, loops)
     if any(problem.departure):
@@ -550,14 +578,14 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
             yield WeightErrorSource(name, "B", np.inf, effect)
 
 
-def _loop_share(records: Sequence[RotationRecord], record: RotationRecord) -> FloatArray:
-    """Return the largest share (C,) of a loop in the outputs of a recording, or of one with larger outputs."""
-    least = np.linalg.norm(record.response, axis=0)
-    share = np.zeros(len(least))
-    for other in records:
-        size = np.linalg.norm(other.response, axis=0)
-        share = np.maximum(share, np.where((size >= least) & (size > 0.0), other.loop / np.maximum(size, 1e-300), 0.0))
-    return share
+def hysteresis_share(records: Sequence[RotationRecord], record: RotationRecord, outputs: BoolArray) -> float:
+    """Return the loop over the output of a recording, or of one with a larger output, of some outputs (C,).
+
+    The mean of both senses may be off by up to the loop: what its middle deviates from the line of the calibration
+    depends on the range of that.
+    """
+    size = [float(np.linalg.norm(each.response[:, outputs])) for each in (record, *records)]
+    return max(each.loop_share(outputs) for each, other in zip(records, size[1:], strict=True) if other >= size[0])
 
 
 def _effects(fit: _WeightSolution) -> tuple[FloatArray, FloatArray]:

@@ -23,8 +23,9 @@ CHANCE = 1e-3  # of a false term
 SAME_SCATTER = 0.05  # chance below which the scatter of poses exceeds that of repeated readings
 WALK_GAIN = 2.71
 """Twice the gain in log likelihood of a random walk: 5 % of series without any exceed it (Self and Liang 1987)."""
-LOOP_SHOWN = 3.0  # square of a difference over its variance from which it is hysteresis rather than noise
-WALKS = np.geomspace(1e-2, 1e4, 25)  # variance of a random walk over that of the noise
+LOOP_OF_STEPS = 2.0  # a loop over the difference after a rise and after a fall, by steps of half its length
+WALKS = np.geomspace(1e-2, 4.0, 20)
+"""Variance of a step of a random walk over that of the noise: larger ones leave the noise undetermined."""
 PRECISION = 1e-12  # relative, of computed numbers
 UNKNOWN_TILT_RAD = 0.1
 
@@ -52,8 +53,8 @@ class OrientationFit(
     from the mean direction, and drift (over the time, from -1 to 1). `covariance` (T·C, T·C): of noise with `dof`
     degrees of freedom, of the T = K + 1 terms of gravity and the constant. `effects`: of further causes on them.
     `noise` (C, C): covariance of the reading of a pose. `down_tilt` (2,): estimated tilt of the world, rad. `walk`
-    (C,): variance of a random walk over the series, over that of the noise. `loop` (C,): difference between readings
-    after a rise and after a fall.
+    (C,): variance of a random walk over the series, over that of the noise. `loop` (2, C): square of the
+    loop that the difference between readings after a rise and after a fall shows, and its variance.
     """
 
     channels: tuple[str, ...]
@@ -155,7 +156,7 @@ def fit_orientations(
     if place.max() + 1 < MIN_ORIENTATIONS or len(basis) < 2:
         raise ValueError(f"orientation: expected at least six different orientations, found {place.max() + 1}")
     digits = np.array([last_digit(column) for column in values.T]) if digit is None else digit
-    rounding = Rounding.of(means, digits * _undithered(digits, within, count))
+    rounding = Rounding(digits * _undithered(digits, within, count))
     floor = rounding.variance + (PRECISION * np.abs(values).max(axis=0)) ** 2
     problem = _Problem(channels, poses, means, count, basis, within, rounding, floor)
     drifting = len(means) >= MIN_DRIFT_POSES or problem.drifts()
@@ -284,19 +285,20 @@ class _Problem:
         for c, column in enumerate(squares.T):
             base = max(float(column.sum()), len(column) * float(self.floor[c]))
             gains = [0.0]
-            for walk in WALKS:
+            for walk in len(self.reading) * WALKS:
                 scaled = 1.0 + walk * size
                 left = max(float(np.sum(column / scaled)), len(column) * float(self.floor[c]) * 1e-3)
                 gains.append(-float(np.sum(np.log(scaled))) - len(column) * float(np.log(left / base)))
             best = int(np.argmax(gains))
-            found.append(WALKS[best - 1] if gains[best] > WALK_GAIN else 0.0)
+            found.append(len(self.reading) * WALKS[best - 1] if gains[best] > WALK_GAIN else 0.0)
         return np.array(found)
 
     @cached_property
     def walk_covariance(self) -> FloatArray:
-        """Covariance (N, N) of a random walk of variance 1 over the series."""
+        """Covariance (N, N) of a random walk of variance 1 over the series, from its mean."""
         time = (self.time + 1.0) / 2.0
-        return np.minimum(time[:, None], time)
+        walk = np.minimum(time[:, None], time)
+        return walk - walk.mean(axis=0) - walk.mean(axis=1, keepdims=True) + walk.mean()
 
     def solved(self, place: IntArray, u_pose_rad: float, u_down_rad: float | None) -> OrientationFit:
         """Return the fit, the tilt of the world estimated with it."""
@@ -395,21 +397,22 @@ class _Solution:
         return covariance_root(wide @ wide.T), np.mean(np.sum(lever**2, axis=2), axis=1)
 
     def loop(self) -> FloatArray:
-        """Return the difference (C,) between readings after a rise and after a fall, less its noise; 0 within noise."""
+        """Return the square (C,) of the loop by the difference after a rise and after a fall, and its variance."""
         gravity = self.problem.design[:, : len(self.problem.basis)] @ self.coefficient[: len(self.problem.basis)]
         sense = 0.5 * np.vstack([np.zeros((1, gravity.shape[1])), np.sign(np.diff(gravity, axis=0))])
         columns = self.white_left(sense)
         size = np.sum(columns**2, axis=0)
-        size = np.where(size > 0.0, size, np.inf)
-        found = np.sum(columns * self.whitened / np.sqrt(np.diag(self.noise)), axis=0) / size
-        return np.asarray(np.sqrt(np.where(found**2 * size > LOOP_SHOWN, found**2 - 1.0 / size, 0.0)))
+        inverse = np.divide(LOOP_OF_STEPS**2, size, out=np.zeros(len(size)), where=size > 0.0)
+        found = np.sum(columns * self.whitened / np.sqrt(np.diag(self.noise)), axis=0)
+        return np.stack([found**2 * inverse / np.where(size > 0.0, size, 1.0), inverse])
 
     def result(self, place: IntArray, u_pose_rad: float, tilt: FloatArray, down: FloatArray) -> OrientationFit:
         """Return the fit with the effects of all causes on the terms of gravity and the constant."""
         problem, terms = self.problem, len(self.problem.basis) + 1
         noise, effects = problem.rounding.without(self.noise), list[OutputEffect]()
-        gravity = self.coefficient[:terms] * (np.arange(terms) < terms - 1)[:, None]
-        rounded = problem.rounding.effect([e[:terms] for e in self.estimator], gravity, self.noise)
+        rounded = problem.rounding.effect(
+            list(self.estimator), problem.design, problem.reading, self.coefficient, self.noise, range(terms)
+        )
         effects.append(OutputEffect("rounding", rounded))
         if u_pose_rad > 0.0:
             effect, variance = self.pose_errors(place, u_pose_rad)

@@ -7,48 +7,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shakercal._common.arrays import Arrays, FloatArray, IntArray
+from shakercal._common.arrays import Arrays, FloatArray
 from shakercal._common.propagation import covariance_root
 
 FINEST, WHOLE = 1e-12, 1e-3
 """Relative precision of the finest display, and the tolerance of a whole number."""
 FEW_STEPS, SAME_STEP = 4, 0.02
 """Different readings from which steps of a converter are found, and the tolerance of a whole number of them."""
-IN_PHASE = 0.0123
-"""Variance of a rounded sine's amplitude, of A digits at any offset, times A: ζ(3)/π⁴ digits².
-
-The rounding error of a slow sine is Σ a/(πm)·sin(2πm x/a). Its share in phase is Σ 2a/(πm)·J₁(2πmA/a)·cos(2πm x₀/a),
-the mean square of which follows from J₁² ≈ 1/(πx) (Widrow and Kollár 2008, Quantization Noise, appendix G).
-"""
+SHARED = 4.0  # readings that share a rounding error, of a sine on the way there and back
+VARYING = 2  # selected coefficients that are certain to be of what varies rather than of the constant
+SURE_NOISE = 0.5  # share of the variance of few readings that is more than rounding: chosen, two readings' of 34
+SMALLEST = 1e-6  # share of a digit's square below which errors of two readings are independent
+HARMONICS = np.arange(1.0, 25.0)
+"""Of the rounding error as a periodic function of the value: 98 % of its variance."""
+FEW_DIGITS = 1.0  # amplitude, in digits, below which it may itself be lost in rounding
 
 
 @dataclass(frozen=True, repr=False)
-class Rounding(Arrays, shapes="digit C; group N C"):
-    """Last digit (C,) of the readings, 0 if exact; readings of one `group` (N, C) share one rounding error.
+class Rounding(Arrays, shapes="digit C"):
+    """Last digit (C,) of readings, 0 if exact.
 
-    The error is a function of what is rounded: a sine read at angles θ and π - θ, or on the way there and back, has the
-    same error twice.
+    The rounding error is a periodic function of the value before rounding, Σ a/(πm)·sin(2πm x/a) for the digit a
+    (Widrow & Kollár 2008, Quantization Noise). Readings of one value have the same error, such as a sine at θ and
+    π - θ, or on the way there and back; noise of more than half a digit makes them independent.
     """
 
     digit: FloatArray
-    group: IntArray
-
-    @classmethod
-    def of(cls, reading: FloatArray, digit: FloatArray | None = None) -> Rounding:
-        """Return the rounding of readings (N, C); equal ones share their error."""
-        digits = np.array([last_digit(column) for column in reading.T]) if digit is None else digit
-        groups = [np.unique(column, return_inverse=True)[1] for column in reading.T]
-        return cls(digits, np.stack([group.ravel() for group in groups], axis=1))
 
     @property
     def variance(self) -> FloatArray:
         """Variance (C,) of one rounding error."""
         return np.asarray(self.digit**2 / 12.0)
-
-    @property
-    def repeats(self) -> FloatArray:
-        """Mean number (C,) of readings that share one error."""
-        return np.asarray(len(self.group) / (1.0 + self.group.max(axis=0)))
 
     def without(self, noise: FloatArray) -> FloatArray:
         """Return the covariance (C, C) of readings without their rounding."""
@@ -56,22 +45,51 @@ class Rounding(Arrays, shapes="digit C; group N C"):
         share = np.sqrt(np.maximum(1.0 - self.variance / np.where(total > 0.0, total, np.inf), 0.0))
         return np.asarray(noise * np.outer(share, share))
 
-    def effect(self, estimator: Sequence[FloatArray], coefficient: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return the effect (T·C, r) of rounding on T terms by their estimators (T, N), one per channel.
+    def _covariance(
+        self, c: int, reading: FloatArray, fitted: FloatArray, hat: FloatArray, noise: float
+    ) -> FloatArray:
+        """Return the covariance (N, N) of the rounding errors of a channel's readings (N,).
 
-        Errors of different groups are independent. Of a signal (T, C) of few digits without noise they are not: the
-        amplitude itself may be off by up to half a digit.
+        At unknown offset it is a² Σ cos(2πmδ)/(2π²m²) for values that differ by δ digits. Noise of σ digits lessens it
+        by exp(-4π²m²σ²), the uncertainty of δ by the fit with its matrix `hat` (N, N) by exp(-2π²m²u²). Values that
+        round to the same digit share the range of 1 - δ digits in which both may lie.
         """
-        terms, count = coefficient.shape
+        value, own = fitted / self.digit[c], np.diag(hat)
+        sigma = max(SURE_NOISE * noise / self.digit[c] ** 2 - 1.0 / 12.0, 0.0)
+        apart = np.maximum(own[:, None] + own - hat - hat.T, 0.0) * SHARED / 12.0
+        found = np.zeros_like(hat)
+        for m in HARMONICS:
+            size = np.exp(-4.0 * (np.pi * m) ** 2 * sigma) / (2.0 * (np.pi * m) ** 2)
+            if size < SMALLEST:
+                break
+            wave = np.exp(2j * np.pi * m * value)
+            found += size * np.real(np.outer(wave, wave.conj())) * np.exp(-2.0 * (np.pi * m) ** 2 * apart)
+        inside = np.maximum(1.0 - np.abs(value[:, None] - value), 0.0) * np.exp(-4.0 * np.pi**2 * sigma)
+        found = np.where(reading[:, None] == reading, np.maximum(found, inside**2 / 12.0), found)
+        np.fill_diagonal(found, 1.0 / 12.0)
+        return np.asarray(self.digit[c] ** 2 * found)
+
+    def effect(
+        self,
+        estimator: Sequence[FloatArray],
+        design: FloatArray,
+        reading: FloatArray,
+        coefficient: FloatArray,
+        noise: FloatArray,
+        selected: Sequence[int],
+    ) -> FloatArray:
+        """Return the effect (T·C, r) of rounding on T selected coefficients (P, C) of a design (N, P).
+
+        `estimator`: (P, N) of every channel. Coefficients of less than a digit may themselves be lost.
+        """
+        (terms, count), rows = (len(selected), len(self.digit)), list(selected)
         columns = []
         for c in np.flatnonzero(self.digit):
-            in_group = np.zeros((terms, 1 + self.group[:, c].max()))
-            np.add.at(in_group.T, self.group[:, c], estimator[c].T)
-            covariance = self.variance[c] * in_group @ in_group.T
-            digits = float(np.linalg.norm(coefficient[:, c])) / self.digit[c]
-            dither = np.exp(-4.0 * np.pi**2 * max(noise[c, c] / self.digit[c] ** 2 - 1.0 / 12.0, 0.0))
-            in_phase = min(self.variance[c], self.digit[c] ** 2 * IN_PHASE / max(digits, IN_PHASE)) * dither
-            covariance += np.diag(np.maximum(in_phase - np.diag(covariance), 0.0))
+            fitted, hat = design @ coefficient[:, c], design @ estimator[c]
+            between = self._covariance(int(c), reading[:, c], fitted, hat, float(noise[c, c]))
+            covariance = estimator[c][rows] @ between @ estimator[c][rows].T
+            if np.linalg.norm(coefficient[rows[:VARYING], c]) < FEW_DIGITS * self.digit[c]:
+                covariance += np.diag(np.maximum(self.variance[c] - np.diag(covariance), 0.0))
             root = covariance_root(covariance)
             wide = np.zeros((terms, count, root.shape[1]))
             wide[:, c] = root

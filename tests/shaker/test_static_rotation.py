@@ -347,7 +347,7 @@ def test_readings_that_are_no_weight_are_refused():
         refused(match, start_values, replace(record, **change), _outputs())
     refused("^axis: ", replace, record, axis=Y)
     along, only = _outputs(SENSITIVITY[2:3]), replace(
-        record, response=record.response[:, 2:3], covariance=np.eye(2), loop=np.zeros(1)
+        record, response=record.response[:, 2:3], covariance=np.eye(2), loop=np.zeros((2, 1))
     )
     refused("^sensitivity: ", start_values, only, along)
     refused("^records: ", fit_weights, [], along)

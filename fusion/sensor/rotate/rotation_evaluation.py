@@ -17,6 +17,7 @@ from fusion.base import PERCENT
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import bench_notices as declared
+from fusion.sensor.rotate.rotation_matrix import force_sensitivity
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -28,12 +29,13 @@ from fusion.sensor.rotate.rotation_readings import (
     gravity_record,
     load_bodies,
     local_gravity,
+    mounted_vectors,
     read_rotations,
     recording_bodies,
     scatter_components,
     unknown_volume,
 )
-from shaker.labels import AXES, LOAD_COMPONENTS
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import SourcedValue
 from shaker.static_rotation.masses import (
     FORCES,
@@ -46,6 +48,7 @@ from shaker.static_rotation.masses import (
     WeightFit,
     fit_weights,
     mass_of_weight,
+    rotation_vector,
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -95,6 +98,9 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     weights = fit_weights(records, outputs, u_angle)
     mass_inputs = MassInputs(recordings, records, weights, gravity, air)
     numbers, scatter = quantities(mass_inputs), repeats(mass_inputs)
+    tilts = mass_inputs.tilts
+    matrix = force_sensitivity(recordings, records, outputs, mass_inputs.load, (gravity, air), tilts)
+    numbers += tuple(matrix)
     notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
     notices += _fit_notices(weights, records)
     notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
@@ -157,6 +163,8 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
     """Yield notices on the axis of the head and the consistency of the channels."""
     for r, record in enumerate(records):
         row = weights.value[ROWS * r : ROWS * (r + 1)]
+        if not record.head:
+            continue
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
         if abs(zero) > np.pi / 2.0:
             yield Notice(declared.GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
@@ -215,6 +223,12 @@ class MassInputs:
     def recording_indices(self, with_load: bool) -> list[int]:
         """Return which recordings are with, or without, load."""
         return [r for r, recording in enumerate(self.recordings) if recording.with_load == with_load]
+
+    @cached_property
+    def tilts(self) -> FloatArray:
+        """Fitted rotations (R, 3) of the true axes against the stated ones, rad."""
+        rows = self.weights.value[: ROWS * len(self.recordings)].reshape(-1, ROWS)
+        return np.array([rotation_vector(record, row) for record, row in zip(self.records, rows, strict=True)])
 
     @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
@@ -386,12 +400,7 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
         yield QuantityLabel("N", "weight", "weight in air", JOINT, name), row[0]
         for i, component in mass_inputs.single_forces[r]:
             yield QuantityLabel("N", "weight", "weight in air", component, name), row[UNKNOWNS_PER_RECORD + i - 1]
-        yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
-        along, across = mass_inputs.records[r].frame
-        tilt = np.outer(along, row[5]) + np.outer(across, row[6])
-        for i, axis in enumerate(AXES):
-            if abs(along[i]) + abs(across[i]) > 0.5:
-                yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
+        yield from _frame(inputs, r)
         mean = loaded if recording.with_load else bare
         if mean is not None and len(mass_inputs.recording_indices(recording.with_load)) > 1:
             for i, component in seen:
@@ -399,6 +408,34 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
                 yield head, net[i] - mean[i]
     yield QuantityLabel("m/s^2", "gravity", "local gravity", ""), inputs.gravity
     yield QuantityLabel("kg/m^3", "air_density", "density of the air", ""), inputs.air
+
+
+def _frame(inputs: _PerturbedInputs, r: int) -> LabelledValues:
+    """Yield how the sensor stood, and of poses its outputs without load."""
+    record, recording, row = inputs.mass_inputs.records[r], inputs.mass_inputs.recordings[r], inputs.fit[r]
+    name, (along, across) = recording.name, record.frame
+    if record.head:
+        yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
+        tilt = np.outer(along, row[5]) + np.outer(across, row[6])
+        for i, axis in enumerate(AXES):
+            if abs(along[i]) + abs(across[i]) > 0.5:
+                yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
+        return
+    turned = np.array([rotation_vector(record, column) for column in row.T]).T
+    if recording.manifest.excitation.sensor_in_flange == "fit":
+        turned = mounted_vectors(recording.mounted, turned)
+        labels = ("sensor_in_flange", "rotation vector from sensor to flange")
+    else:
+        labels = ("frame_tilt", "true axes minus stated axes")
+    for axis, angle in zip(AXES, turned, strict=True):
+        yield QuantityLabel("rad", *labels, axis, name), angle
+    before = sum(len(each.constant) for each in inputs.mass_inputs.records[:r])
+    offset = inputs.offset[before : before + len(record.constant)]
+    for i in recording.determined:
+        label = QuantityLabel(LOAD_UNITS[i], "offset", "offset", LOAD_COMPONENTS[i], name)
+        yield label, recording.inverse[i] @ offset
+    for channel, unit, value in zip(recording.fit.channels, recording.unit, offset, strict=True):
+        yield QuantityLabel(unit, "output_offset", "output without load", channel, name), value
 
 
 def _load(inputs: _PerturbedInputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> LabelledValues:

@@ -26,6 +26,8 @@ from fusion.sensor.rotate.rotation_table import (
 from shaker.labels import LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
 from shaker.static_rotation.masses import (
+    FORCES,
+    MIN_FORCE_SHARE,
     TILT_RAD,
     OutputEffect,
     RotationRecord,
@@ -35,7 +37,7 @@ from shaker.static_rotation.masses import (
     start_values,
 )
 from shaker.static_rotation.orientations import OrientationFit, fit_orientations
-from shakercal._common.arrays import FloatArray
+from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Gravity, air and bodies, as stated by the rig or derived from its location.
@@ -199,7 +201,7 @@ class RotationRecording:
     """One recording: readings over the angle or in any orientations, and their fit.
 
     `name`: of its folder. `unit` (C,): of every channel. `load` (N, 6): readings as loads by the inverse (6, C) of the
-    calibration matrix, NaN for components that it does not determine.
+    calibration matrix, NaN for components that it does not determine. `mounted` (3, 3): x_flange = mounted·x_sensor.
     """
 
     name: str
@@ -209,6 +211,7 @@ class RotationRecording:
     fit: AngleFit | OrientationFit
     inverse: FloatArray
     load: FloatArray
+    mounted: FloatArray
 
     @property
     def state(self) -> str:
@@ -260,8 +263,8 @@ def read_rotations(
 ) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
     """Return recordings with their fits, the channels' calibration, and notices; refuse impossible readings.
 
-    A channel is left out if it is constant in every recording: constant within its last digit in one of them, it still
-    bounds the load.
+    A channel is left out if it is constant in every recording. If it is so in one of them, or the force along the axis
+    of a head, its last digit bounds the load.
     """
     sensor, notices = manifests[0].rig.sensor, list[Notice]()
     if sensor is None:
@@ -281,7 +284,10 @@ def read_rotations(
                 recording=first.path.parent.name,
                 found=found,
             )
+    digits = np.array([table.digit for table in tables])
+    digit = np.min(np.where(digits > 0.0, digits, np.inf), axis=0)
     moves = np.any([np.ptp(table.reading, axis=0) > 0.0 for table in tables], axis=0)
+    moves |= np.isfinite(digit) & _along_axis(manifests, sensor_outputs(sensor, list(first.units), first.are_loads))
     kept = np.array([i for i, moving in enumerate(moves) if moving], np.int64)
     channels, constant = ([name for name, m in zip(first.units, moves, strict=True) if m == of] for of in (True, False))
     missing = [name for name in sensor.channels if name not in first.units]
@@ -295,9 +301,7 @@ def read_rotations(
     if not channels:
         raise wrong_table(first.path, "", "readings that change with the angle", "constant readings")
     outputs = sensor_outputs(sensor, channels, first.are_loads)
-    digits = np.array([table.digit[kept] for table in tables])
-    digit = np.min(np.where(digits > 0.0, digits, np.inf), axis=0)
-    digit = np.where(np.isfinite(digit), digit, 0.0)
+    digit = np.where(np.isfinite(digit), digit, 0.0)[kept]
     recordings = [
         _recording(manifest, replace(table, reading=table.reading[:, kept]), outputs, tuple(channels), digit)
         for manifest, table in zip(manifests, tables, strict=True)
@@ -321,16 +325,25 @@ def sensor_outputs(sensor: Sensor, channels: Sequence[str], are_loads: bool) -> 
     return SensorOutputs(matrix, u, sense)
 
 
+def _along_axis(manifests: Sequence[Manifest], outputs: SensorOutputs) -> BoolArray:
+    """Return which outputs (C,) are mainly of the force along the axis of every recording's head."""
+    axes = [np.zeros(3) if m.excitation.axis is None else np.array(m.excitation.axis) for m in manifests]
+    main = np.argmax(np.abs(outputs.sensitivity[:, :FORCES]), axis=1)
+    along = np.min(np.abs(axes), axis=0) > np.sqrt(1.0 - MIN_FORCE_SHARE**2)
+    return np.asarray(outputs.forces & along[main])
+
+
 def _recording(
     manifest: Manifest, table: RotationTable, outputs: SensorOutputs, channels: tuple[str, ...], digit: FloatArray
 ) -> RotationRecording:
     """Return one recording with its fit."""
     fit: AngleFit | OrientationFit
+    mounted = np.eye(3)
     if manifest.excitation.orientation is None:
         with as_input_error(table.path):
             fit = fit_angles(channels, in_radians(manifest, table)[:, 0], table.reading, digit)
     else:
-        fit = _orientation_fit(manifest, table, outputs, channels, digit)
+        fit, mounted = _orientation_fit(manifest, table, outputs, channels, digit)
     sensor = manifest.rig.sensor
     recording = RotationRecording(
         name=manifest.folder.name,
@@ -340,6 +353,7 @@ def _recording(
         fit=fit,
         inverse=outputs.inverse,
         load=np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan),
+        mounted=mounted,
     )
     try:
         start_values(gravity_record(recording), outputs)
@@ -356,8 +370,8 @@ def _recording(
 
 def _orientation_fit(
     manifest: Manifest, table: RotationTable, outputs: SensorOutputs, channels: tuple[str, ...], digit: FloatArray
-) -> OrientationFit:
-    """Return the fit of readings in any orientations, the rotation on the flange estimated first where unknown."""
+) -> tuple[OrientationFit, FloatArray]:
+    """Return the fit of readings in any orientations, and the rotation on the flange, estimated where unknown."""
     excitation = manifest.excitation
     mounted = np.eye(3) if excitation.sensor_in_flange == "fit" else np.array(excitation.sensor_in_flange)
     u_pose, u_down = excitation.orientation_uncertainty, excitation.down_uncertainty
@@ -365,11 +379,12 @@ def _orientation_fit(
     try:
         fit = fit_orientations(channels, series, table.reading, digit, u_pose, u_down)
         if excitation.sensor_in_flange != "fit":
-            return fit
+            return fit, mounted
         turned = mounted_rotation(fit, outputs)
     except ValueError as error:
         raise InputError.from_exception(error, table.path, table.names[0]) from error
-    return fit_orientations(channels, orientation_series(manifest, table, turned), table.reading, digit, u_pose, u_down)
+    series = orientation_series(manifest, table, turned)
+    return fit_orientations(channels, series, table.reading, digit, u_pose, u_down), turned
 
 
 def mounted_rotation(fit: OrientationFit, outputs: SensorOutputs) -> FloatArray:
@@ -380,6 +395,13 @@ def mounted_rotation(fit: OrientationFit, outputs: SensorOutputs) -> FloatArray:
     left, _, right = np.linalg.svd(force)
     sign = np.array([1.0, 1.0, np.linalg.det(left @ right)])
     return np.asarray((left * sign @ right).T)
+
+
+def mounted_vectors(mounted: FloatArray, turned: FloatArray) -> FloatArray:
+    """Return the rotation vectors (3, B) from sensor to flange, of axes rotated by (3, B) against the stated ones."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray((Rotation.from_matrix(mounted) * Rotation.from_rotvec(-turned.T)).as_rotvec().T)
 
 
 def gravity_record(recording: RotationRecording) -> RotationRecord:
