@@ -199,7 +199,7 @@ class AngleFit(
 
     def rounding_effect(self, order: int = 1) -> FloatArray:
         """Return the effect (2C, r) of rounding on [all Re, all Im] of a harmonic's amplitude."""
-        estimators = [self.inverse @ self.design.T] * len(self.channels)
+        estimators = np.stack([self.inverse @ self.design.T] * len(self.channels))
         columns = self._columns(order)
         effect = self.rounding.effect(estimators, self.design, self.reading, self.coefficient, self.noise, columns)
         return np.asarray(effect * np.repeat([1.0, -1.0], len(self.channels))[:, None])

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.static_rotation.masses import OutputEffect
 from shaker.static_rotation.rounding import Rounding, last_digit
+from shaker.static_rotation.weight_model import OutputEffect
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 from shakercal._common.propagation import covariance_root
 
@@ -21,8 +21,8 @@ MOST_POSES = 1000  # beyond which neighbouring ones are averaged
 MIN_DRIFT_POSES = 12  # from which a linear drift is always fitted
 CHANCE = 1e-3  # of a false term
 SAME_SCATTER = 0.05  # chance below which the scatter of poses exceeds that of repeated readings
-WALK_GAIN = 2.71
-"""Twice the gain in log likelihood of a random walk: 5 % of series without any exceed it (Self and Liang 1987)."""
+WALK_GAIN = 5.41
+"""Twice the gain in log likelihood of a random walk: 1 % of series without any exceed it (Self and Liang 1987)."""
 LOOP_OF_STEPS = 2.0  # a loop over the difference after a rise and after a fall, by steps of half its length
 WALKS = np.geomspace(1e-2, 4.0, 20)
 """Variance of a step of a random walk over that of the noise: larger ones leave the noise undetermined."""
@@ -50,9 +50,10 @@ class OrientationFit(
     """Readings (N, C) of N poses as constant, outputs along K axes of gravity, and drift.
 
     reading = design · coefficient + residual. `terms` (P,): constant, "gravity 1" … along the rows of `basis` (K, 3)
-    from the mean direction, and drift (over the time, from -1 to 1). `covariance` (T·C, T·C): of noise with `dof`
-    degrees of freedom, of the T = K + 1 terms of gravity and the constant. `effects`: of further causes on them.
-    `noise` (C, C): covariance of the reading of a pose. `down_tilt` (2,): estimated tilt of the world, rad. `walk`
+    from the mean direction, and drift (over the time, from -1 to 1). `covariance` (P·C, P·C): of noise with `dof`
+    degrees of freedom, of the terms. `effects`: of further causes on them.
+    `noise` (C, C): covariance of the reading of a pose. `down_tilt`, `u_down_tilt` (2,): estimated tilt of the
+    world, rad. `walk`
     (C,): variance of a random walk over the series, over that of the noise. `loop` (2, C): square of the
     loop that the difference between readings after a rise and after a fall shows, and its variance.
     """
@@ -71,6 +72,7 @@ class OrientationFit(
     dof: float
     effects: tuple[OutputEffect, ...]
     down_tilt: FloatArray
+    u_down_tilt: FloatArray
     walk: FloatArray
     loop: FloatArray
 
@@ -90,10 +92,10 @@ class OrientationFit(
         return np.asarray(self.direction.mean(axis=0))
 
     @property
-    def u(self) -> FloatArray:
-        """Standard uncertainty (T, C) of the terms, of all causes."""
-        variance = np.diag(self.covariance) + sum(np.sum(e.effect**2, axis=1) for e in self.effects)
-        return np.sqrt(variance).reshape(-1, len(self.channels))
+    def combined(self) -> FloatArray:
+        """Covariance (P·C, P·C) of the terms, of all causes."""
+        stated = (each.effect @ each.effect.T for each in self.effects)
+        return np.asarray(self.covariance + sum(stated, np.zeros_like(self.covariance)))
 
     @property
     def condition(self) -> float:
@@ -298,7 +300,7 @@ class _Problem:
         """Covariance (N, N) of a random walk of variance 1 over the series, from its mean."""
         time = (self.time + 1.0) / 2.0
         walk = np.minimum(time[:, None], time)
-        return walk - walk.mean(axis=0) - walk.mean(axis=1, keepdims=True) + walk.mean()
+        return np.asarray(walk - walk.mean(axis=0) - walk.mean(axis=1, keepdims=True) + walk.mean())
 
     def solved(self, place: IntArray, u_pose_rad: float, u_down_rad: float | None) -> OrientationFit:
         """Return the fit, the tilt of the world estimated with it."""
@@ -370,7 +372,7 @@ class _Solution:
 
     def tilted(self) -> FloatArray:
         """Return the change (2, N, C) of the readings per tilt of the world."""
-        return np.einsum("njx,cx->jnc", self.problem.series.tilt, self.gradient)
+        return np.asarray(np.einsum("njx,cx->jnc", self.problem.series.tilt, self.gradient))
 
     def down_tilt(self, u_down_rad: float | None, tilt: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
         """Return a step (2,) of the tilt of the world, its covariance, and whether it is significant."""
@@ -384,14 +386,14 @@ class _Solution:
         freedom = self.dof * len(self.problem.channels)
         left_over = max(float(np.sum((left - columns @ step) ** 2)) / freedom, np.finfo(np.float64).tiny)
         ratio = float(step @ (columns.T @ columns) @ step) / 2.0 / left_over
-        return step, covariance, bool(fdtrc(2.0, freedom, ratio) < CHANCE)
+        return step, np.asarray(covariance, np.float64), bool(fdtrc(2.0, freedom, ratio) < CHANCE)
 
     def pose_errors(self, place: IntArray, u_pose_rad: float) -> tuple[FloatArray, FloatArray]:
-        """Return the effect (T·C, r) of the errors of the poses on the terms, and their variance (C,) in a reading."""
-        direction, terms = self.problem.series.direction, len(self.problem.basis) + 1
+        """Return the effect (P·C, r) of the errors of the poses on the terms, and their variance (C,) in a reading."""
+        direction, terms = self.problem.series.direction, len(self.coefficient)
         lever = u_pose_rad * np.cross(direction[None], self.gradient[:, None])
         effect = np.zeros((terms, len(self.problem.channels), place.max() + 1, 3))
-        each = np.einsum("ctn,cnx->ntcx", self.estimator[:, :terms], lever)
+        each = np.einsum("ctn,cnx->ntcx", self.estimator, lever)
         np.add.at(effect.transpose(2, 0, 1, 3), place, each)
         wide = effect.reshape(terms * len(self.problem.channels), -1)
         return covariance_root(wide @ wide.T), np.mean(np.sum(lever**2, axis=2), axis=1)
@@ -407,11 +409,11 @@ class _Solution:
         return np.stack([found**2 * inverse / np.where(size > 0.0, size, 1.0), inverse])
 
     def result(self, place: IntArray, u_pose_rad: float, tilt: FloatArray, down: FloatArray) -> OrientationFit:
-        """Return the fit with the effects of all causes on the terms of gravity and the constant."""
-        problem, terms = self.problem, len(self.problem.basis) + 1
+        """Return the fit with the effects of all causes on its terms."""
+        problem, terms = self.problem, len(self.coefficient)
         noise, effects = problem.rounding.without(self.noise), list[OutputEffect]()
         rounded = problem.rounding.effect(
-            list(self.estimator), problem.design, problem.reading, self.coefficient, self.noise, range(terms)
+            self.estimator, problem.design, problem.reading, self.coefficient, self.noise, range(terms)
         )
         effects.append(OutputEffect("rounding", rounded))
         if u_pose_rad > 0.0:
@@ -422,14 +424,15 @@ class _Solution:
             share = np.sqrt(np.maximum(1.0 - variance / size, least))
             noise = noise * np.outer(share, share)
         if down.any():
-            tilted = np.einsum("ctn,jnc->tcj", self.estimator[:, :terms], self.tilted()).reshape(-1, 2)
+            tilted = np.einsum("ctn,jnc->tcj", self.estimator, self.tilted()).reshape(-1, 2)
             effects.append(OutputEffect("direction of down", tilted @ covariance_root(down)))
-        spread = np.stack([e[:terms] @ root for e, root in zip(self.estimator, self.roots, strict=True)])
+        spread = np.stack([e @ root for e, root in zip(self.estimator, self.roots, strict=True)])
         covariance = np.einsum("ctn,dun,cd->tcud", spread, spread, noise)
-        names = (*(f"gravity {k}" for k in range(1, terms)), "constant", *(["drift"] if problem.drift else []))
-        size = terms * len(problem.channels)
+        gravity = (f"gravity {k}" for k in range(1, 1 + len(problem.basis)))
+        names = (*gravity, "constant", *(["drift"] if problem.drift else []))
+        count = terms * len(problem.channels)
         return OrientationFit(
             problem.channels, problem.series.direction, problem.reading, problem.series.time, problem.count, names,
-            problem.design, self.coefficient, problem.basis, covariance.reshape(size, size), self.noise, self.dof,
-            tuple(effects), tilt, self.walk, self.loop(),
+            problem.design, self.coefficient, problem.basis, covariance.reshape(count, count), self.noise, self.dof,
+            tuple(effects), tilt, np.sqrt(np.diag(down)), self.walk, self.loop(),
         )  # fmt: skip

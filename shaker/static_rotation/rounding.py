@@ -45,9 +45,7 @@ class Rounding(Arrays, shapes="digit C"):
         share = np.sqrt(np.maximum(1.0 - self.variance / np.where(total > 0.0, total, np.inf), 0.0))
         return np.asarray(noise * np.outer(share, share))
 
-    def _covariance(
-        self, c: int, reading: FloatArray, fitted: FloatArray, hat: FloatArray, noise: float
-    ) -> FloatArray:
+    def _covariance(self, c: int, reading: FloatArray, fitted: FloatArray, hat: FloatArray, noise: float) -> FloatArray:
         """Return the covariance (N, N) of the rounding errors of a channel's readings (N,).
 
         At unknown offset it is a² Σ cos(2πmδ)/(2π²m²) for values that differ by δ digits. Noise of σ digits lessens it
@@ -71,7 +69,7 @@ class Rounding(Arrays, shapes="digit C"):
 
     def effect(
         self,
-        estimator: Sequence[FloatArray],
+        estimator: FloatArray,
         design: FloatArray,
         reading: FloatArray,
         coefficient: FloatArray,
@@ -80,14 +78,14 @@ class Rounding(Arrays, shapes="digit C"):
     ) -> FloatArray:
         """Return the effect (T·C, r) of rounding on T selected coefficients (P, C) of a design (N, P).
 
-        `estimator`: (P, N) of every channel. Coefficients of less than a digit may themselves be lost.
+        `estimator` (C, P, N). Coefficients of less than a digit may themselves be lost.
         """
         (terms, count), rows = (len(selected), len(self.digit)), list(selected)
         columns = []
         for c in np.flatnonzero(self.digit):
             fitted, hat = design @ coefficient[:, c], design @ estimator[c]
             between = self._covariance(int(c), reading[:, c], fitted, hat, float(noise[c, c]))
-            covariance = estimator[c][rows] @ between @ estimator[c][rows].T
+            covariance = estimator[c, rows] @ between @ estimator[c, rows].T
             if np.linalg.norm(coefficient[rows[:VARYING], c]) < FEW_DIGITS * self.digit[c]:
                 covariance += np.diag(np.maximum(self.variance[c] - np.diag(covariance), 0.0))
             root = covariance_root(covariance)

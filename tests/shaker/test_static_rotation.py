@@ -19,14 +19,10 @@ from shaker.static_rotation.harmonics import (
     standard_pressure,
     turning_sense,
 )
-from shaker.static_rotation.masses import (
-    DISAGREEMENT_SOURCE,
-    ROWS,
-    UNDETERMINED_SOURCE,
-    RotationRecord,
+from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, ROWS, UNDETERMINED_SOURCE, fit_weights
+from shaker.static_rotation.weight_model import (
     RotationRecord,
     SensorOutputs,
-    fit_weights,
     head_record,
     start_values,
 )
@@ -346,8 +342,9 @@ def test_readings_that_are_no_weight_are_refused():
     ):
         refused(match, start_values, replace(record, **change), _outputs())
     refused("^axis: ", replace, record, axis=Y)
-    along, only = _outputs(SENSITIVITY[2:3]), replace(
-        record, response=record.response[:, 2:3], covariance=np.eye(2), loop=np.zeros((2, 1))
+    along, only = (
+        _outputs(SENSITIVITY[2:3]),
+        replace(record, response=record.response[:, 2:3], covariance=np.eye(2), loop=np.zeros((2, 1))),
     )
     refused("^sensitivity: ", start_values, only, along)
     refused("^records: ", fit_weights, [], along)

@@ -128,7 +128,8 @@ def step(inputs: Inputs) -> dict[str, float]:
 
 def rotation(inputs: Inputs) -> dict[str, float]:
     """Compute weight and first moment of a body rotated in gravity."""
-    from shaker.static_rotation.masses import SensorOutputs, fit_weights, head_record
+    from shaker.static_rotation.masses import fit_weights
+    from shaker.static_rotation.weight_model import SensorOutputs, head_record
 
     amplitude = _complex(inputs, "amplitude")
     axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])

@@ -18,6 +18,7 @@ from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import bench_notices as declared
 from fusion.sensor.rotate.rotation_matrix import force_sensitivity
+from fusion.sensor.rotate.rotation_poses import pose_notices
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -38,16 +39,19 @@ from fusion.sensor.rotate.rotation_readings import (
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import SourcedValue
 from shaker.static_rotation.masses import (
-    FORCES,
+    HYSTERESIS_SOURCE,
     ROWS,
     UNDETERMINED_SOURCE,
-    UNKNOWNS_PER_RECORD,
-    RotationRecord,
-    SensorOutputs,
     WeightErrorSource,
     WeightFit,
     fit_weights,
     mass_of_weight,
+)
+from shaker.static_rotation.weight_model import (
+    FORCES,
+    UNKNOWNS_PER_RECORD,
+    RotationRecord,
+    SensorOutputs,
     rotation_vector,
 )
 from shakercal._common.arrays import FloatArray
@@ -102,7 +106,8 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     matrix = force_sensitivity(recordings, records, outputs, mass_inputs.load, (gravity, air), tilts)
     numbers += tuple(matrix)
     notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
-    notices += _fit_notices(weights, records)
+    notices += [*_fit_notices(weights, records), *pose_notices(recordings, mass_inputs.tilts)]
+    notices += [*_head_notices(recordings, records), *_hysteresis_notices(records, outputs, numbers)]
     notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
@@ -172,8 +177,34 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
             yield Notice(declared.GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
         if tilt > AXIS_TILT_NOTICE_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
             yield Notice(declared.AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
-    if weights.departure > 0.0:
-        yield Notice(declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
+    if weights.departure > 0.0 or weights.moment_departure > 0.0:
+        departures = 100.0 * weights.departure, 100.0 * weights.moment_departure
+        yield Notice(
+            declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=departures[0], moment_percent=departures[1]
+        )
+
+
+def _head_notices(recordings: Sequence[RotationRecording], records: Sequence[RotationRecord]) -> Iterator[Notice]:
+    """Yield notices on what the readings of a head do not show."""
+    for recording, record in zip(recordings, records, strict=True):
+        if record.head and recording.manifest.excitation.axis_uncertainty is None:
+            yield Notice(declared.AXIS_INCLINATION_NOT_STATED, "axis")
+        if record.head and not record.loop.any():
+            yield Notice(declared.ONE_SENSE_OF_ROTATION, record.name)
+
+
+def _hysteresis_notices(
+    records: Sequence[RotationRecord], outputs: SensorOutputs, numbers: Sequence[RotationQuantity]
+) -> Iterator[Notice]:
+    """Yield notices on hysteresis where it is most of the uncertainty of a mass or of a centre."""
+    named = [q for q in numbers if q.name.endswith(("_mass", "_centre_of_mass"))]
+    if not any(q.budget.get(HYSTERESIS_SOURCE, 0.0) ** 2 > 0.5 * q.u**2 for q in named):
+        return
+    for record in records:
+        for name, kind in (("forces", outputs.forces), ("moments", ~outputs.forces)):
+            share = 100.0 * record.loop_share(kind)
+            if share > 0.0:
+                yield Notice(declared.HYSTERESIS_FOUND, record.name, loop_percent=share, outputs=name)
 
 
 # From weights to masses and centres of mass.

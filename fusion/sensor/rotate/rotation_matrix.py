@@ -9,10 +9,10 @@ import numpy as np
 from fusion.sensor.rotate.rotation_readings import RotationQuantity, RotationRecording, WeighedBody
 from shaker.labels import LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import SourcedValue
-from shaker.static_rotation.masses import (
+from shaker.static_rotation.masses import HYSTERESIS_SOURCE
+from shaker.static_rotation.weight_model import (
     CROSS,
     FORCES,
-    HYSTERESIS_SOURCE,
     RotationRecord,
     SensorOutputs,
     hysteresis_share,
@@ -34,7 +34,7 @@ def force_sensitivity(
 ) -> Iterator[RotationQuantity]:
     """Yield output per force of every channel, by the weighed load.
 
-    Output per direction of gravity changes by W·(S_F + S_M·[c ×]) with the load's weight W and centre c. `surroundings`:
+    Output per direction of gravity changes by W·(S_F + S_M·[c ×]), weight W and centre c of the load. `surroundings`:
     gravity and density of the air. `tilts` (R, 3): fitted rotations of the sensor's axes, which are the standard
     uncertainty of the stated ones where no other is stated.
     """
@@ -96,7 +96,7 @@ def _of_readings(
 
             def variance(covariance: FloatArray, size: int = size, axes: FloatArray = axes) -> FloatArray:
                 kinds = covariance[:size, :size].reshape(len(axes), -1, len(axes), size // len(axes))
-                return np.einsum("kclc,kx,lx->cx", kinds, axes, axes)
+                return np.asarray(np.einsum("kclc,kx,lx->cx", kinds, axes, axes))
 
             yield f"noise of {recordings[r].name}", record.dof, variance(record.covariance)
             for cause in record.stated:

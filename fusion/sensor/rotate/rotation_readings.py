@@ -25,18 +25,18 @@ from fusion.sensor.rotate.rotation_table import (
 )
 from shaker.labels import LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
-from shaker.static_rotation.masses import (
+from shaker.static_rotation.masses import WeightFit
+from shaker.static_rotation.orientations import OrientationFit, fit_orientations
+from shaker.static_rotation.weight_model import (
     FORCES,
     MIN_FORCE_SHARE,
     TILT_RAD,
     OutputEffect,
     RotationRecord,
     SensorOutputs,
-    WeightFit,
     head_record,
     start_values,
 )
-from shaker.static_rotation.orientations import OrientationFit, fit_orientations
 from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
@@ -274,9 +274,7 @@ def read_rotations(
     first = tables[0]
     for table in tables[1:]:
         if table.units != first.units:
-            found, expected = (
-                ", ".join(f"{c} {u}".strip() for c, u in each.units.items()) for each in (table, first)
-            )
+            found, expected = (", ".join(f"{c} {u}".strip() for c, u in each.units.items()) for each in (table, first))
             raise InputError(
                 declared.DIFFERENT_ROTATION_CHANNELS,
                 table.path,
@@ -413,11 +411,12 @@ def gravity_record(recording: RotationRecording) -> RotationRecord:
         level = 1.0 - (excitation.axis_uncertainty or 0.0) ** 2 / 2.0  # mean of the cosine of the inclination
         stated = (OutputEffect("rounding", fit.rounding_effect()),)
         return replace(record, direction=level * record.direction, loop=fit.loop(), stated=stated)
+    size = (fit.axes + 1) * len(fit.channels)
     u, free = excitation.sensor_in_flange_uncertainty, excitation.sensor_in_flange == "fit"
     return RotationRecord(
         name=recording.name,
         response=fit.coefficient[: fit.axes],
-        covariance=fit.covariance,
+        covariance=fit.covariance[:size, :size],
         dof=fit.dof,
         direction=fit.basis,
         axis=np.array([0.0, 0.0, 1.0]),
@@ -428,5 +427,5 @@ def gravity_record(recording: RotationRecording) -> RotationRecord:
         u_frame=(u if u is not None and not free else TILT_RAD,) * 3,
         frame_stated=u is not None and not free,
         head=False,
-        stated=fit.effects,
+        stated=tuple(OutputEffect(each.name, each.effect[:size]) for each in fit.effects),
     )
