@@ -167,12 +167,12 @@ def fit_orientations(
 
 
 def linear_misfit(direction: FloatArray, reading: FloatArray) -> float:
-    """Return the share of the variance of readings (N, C) that gravity's direction (N, 3) does not explain."""
+    """Return the share of the variance of readings (N, C), median, that gravity's direction (N, 3) leaves."""
     design = np.column_stack([np.ones(len(direction)), direction])
     residual = reading - design @ np.linalg.lstsq(design, reading, rcond=None)[0]
     total = np.sum((reading - reading.mean(axis=0)) ** 2, axis=0)
     changing = total > 0.0
-    return float(np.mean(np.sum(residual**2, axis=0)[changing] / total[changing])) if changing.any() else 0.0
+    return float(np.median(np.sum(residual**2, axis=0)[changing] / total[changing])) if changing.any() else 0.0
 
 
 def _poses(
@@ -314,6 +314,9 @@ class _Problem:
                     break
                 tilt, down = tilt + step, covariance
                 moved = self.series.direction + np.tensordot(tilt, self.series.tilt, (0, 1))
+                moved *= np.linalg.norm(self.series.direction, axis=1, keepdims=True) / np.linalg.norm(
+                    moved, axis=1, keepdims=True
+                )
                 problem = replace(self, series=replace(self.series, direction=moved))
                 solution = _Solution.of(problem, walk)
         return solution.result(place, u_pose_rad, tilt, down)
@@ -383,7 +386,10 @@ class _Solution:
         prior = np.eye(2) / (UNKNOWN_TILT_RAD if u_down_rad is None else u_down_rad) ** 2
         covariance = np.linalg.inv(columns.T @ columns + prior)
         step = covariance @ (columns.T @ left - prior @ tilt)
-        freedom = self.dof * len(self.problem.channels)
+        terms, count = self.coefficient.shape
+        freedom = float(len(left) - terms * count - 2)
+        if freedom < 1.0:
+            return step, np.asarray(covariance, np.float64), False
         left_over = max(float(np.sum((left - columns @ step) ** 2)) / freedom, np.finfo(np.float64).tiny)
         ratio = float(step @ (columns.T @ columns) @ step) / 2.0 / left_over
         return step, np.asarray(covariance, np.float64), bool(fdtrc(2.0, freedom, ratio) < CHANCE)

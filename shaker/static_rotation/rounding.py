@@ -101,10 +101,10 @@ def last_digit(column: FloatArray) -> float:
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0
     different = np.unique(column)
-    if len(different) >= FEW_STEPS:
-        gaps = np.diff(different)
+    gaps = np.diff(different)
+    if len(different) >= FEW_STEPS and gaps.min() > 2.0 * FINEST * largest:
         steps = gaps / gaps.min()
-        if np.all(np.abs(steps - np.round(steps)) < SAME_STEP) and gaps.min() > 2.0 * FINEST * largest:
+        if np.all(np.abs(steps - np.round(steps)) < SAME_STEP):
             return float(np.ptp(different) / np.round(steps).sum())
     for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
         for mantissa in (5.0, 2.0, 1.0):

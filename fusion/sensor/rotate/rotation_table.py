@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from fusion.errors import InputError, as_input_error
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.recording.units import recorded_unit
+from fusion.recording.values import LARGEST
 from fusion.sensor import bench_notices as declared
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -62,9 +63,11 @@ def read_rotation_table(manifest: Manifest, sensor: Sensor) -> RotationTable:
     wanted = [*names, *units, *timed]
     with as_input_error(path):
         table = read_table_columns(path, wanted)
-    if not np.isfinite(table).all():
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
-        raise wrong_table(path, wanted[column], "a number in every row", f"none in row {row + 1}")
+    impossible = ~(np.abs(table) <= LARGEST)
+    if impossible.any():
+        row, column = (int(i) for i in np.argwhere(impossible)[0])
+        expected = f"a number of at most {LARGEST:g} in every row"
+        raise wrong_table(path, wanted[column], expected, f"none in row {row + 1}")
     raw = table[:, len(names) : len(names) + len(units)]
     scale = np.ones(len(units)) if are_loads else _scales(manifest, sensor, units)
     digit = np.array([last_digit(column) for column in raw.T]) * np.abs(scale)
@@ -206,6 +209,13 @@ def _refuse_other_poses(manifest: Manifest, table: RotationTable, stated: FloatA
         first = first.swapaxes(1, 2) if orientation == "world_in_sensor" else first
         expected, found = "the real part of the quaternion in this column", "it in the first one"
         others.append((first.swapaxes(1, 2), (table.path, "qw"), expected, found))
+    if table.names in (ROTATION_VECTOR, TILT):
+        degrees = bool(np.ptp(in_radians(manifest, table) - table.turned) > 0.0)
+        factor, units = (180.0 / np.pi, "rad, deg") if degrees else (np.pi / 180.0, "deg, rad")
+        other = _rotations(manifest, replace(table, turned=factor * table.turned))
+        other = other.swapaxes(1, 2) if orientation == "world_in_sensor" else other
+        expected, found = units.split(", ")
+        others.append((other.swapaxes(1, 2), (table.path, table.names[0]), expected, found))
     for gravity, where, expected, found in others:
         if linear_misfit(gravity @ down, table.reading) < BETTER_SHARE * misfit:
             raise wrong_table(*where, expected, found)
