@@ -377,6 +377,8 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
         for kind, outputs_of_kind in enumerate((problem.outputs.forces, ~problem.outputs.forces)):
             share = hysteresis_share(problem.records, record, outputs_of_kind) / np.sqrt(3.0)
             loops[:, kind] += by_term[:, : record.response.size] @ (share * record.response * outputs_of_kind).ravel()
+    if any(record.u_length for record in problem.records):
+        yield WeightErrorSource("inclination of the axis", "B", np.inf, _lengthened(fit, len(by_row)))
     if loops.any():
         yield WeightErrorSource(HYSTERESIS_SOURCE, "B", np.inf, loops)
     if any(problem.departure):
@@ -395,6 +397,17 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
         if unknowns:
             effect = shared[:, unknowns] / np.sqrt(problem.prior[unknowns])
             yield WeightErrorSource(name, "B", np.inf, effect)
+
+
+def _lengthened(fit: _WeightSolution, size: int) -> FloatArray:
+    """Return the effect (V, 1) of one standard deviation of the length of gravity's direction."""
+    problem, effect = fit.problem, np.zeros((size, 1))
+    rows = effect[: ROWS * len(problem.records)].reshape(-1, ROWS)
+    for r, record in enumerate(problem.records):
+        unknowns = fit.point.parameters[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
+        rows[r, :4] = record.u_length * unknowns[:4]
+        rows[r, UNKNOWNS_PER_RECORD:] = record.u_length * unknowns[0]
+    return effect
 
 
 def _effects(fit: _WeightSolution) -> tuple[FloatArray, FloatArray]:

@@ -74,7 +74,8 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
     harmonic; `head` tells so. `covariance`, `dof`: of noise, in the order of `response`, then of `constant` (C,) where
     there is one. `stated`: further errors of these terms. `axis`, `down` (3,): unit vectors about which the sensor's
     axes may deviate from the stated ones. `u_frame` (3,): standard uncertainty of this rotation about the axis and of
-    its two tilts, rad, infinite where unknown; `frame_stated`: they are a statement. `loop` (2, C): square of
+    its two tilts, rad, infinite where unknown; `frame_stated`: they are a statement. `u_length`: relative
+    standard uncertainty of `direction`, common to all recordings. `loop` (2, C): square of
     the difference between the senses of a rotation, and its variance of noise.
     """
 
@@ -89,6 +90,7 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
     mean: FloatArray
     loop: FloatArray
     u_frame: tuple[float, float, float]
+    u_length: float = 0.0
     frame_stated: bool = False
     head: bool = True
     stated: tuple[OutputEffect, ...] = ()

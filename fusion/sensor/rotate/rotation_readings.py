@@ -408,9 +408,10 @@ def gravity_record(recording: RotationRecording) -> RotationRecord:
     if isinstance(fit, AngleFit):
         axis, down = np.array(excitation.axis), np.array(excitation.zero_gravity)
         record = head_record(recording.name, fit.amplitude(), fit.covariance(), fit.dof, axis, down)
-        level = 1.0 - (excitation.axis_uncertainty or 0.0) ** 2 / 2.0  # mean of the cosine of the inclination
+        bend = (excitation.axis_uncertainty or 0.0) ** 2 / 2.0  # mean of 1 - cos of the inclination
         stated = (OutputEffect("rounding", fit.rounding_effect()),)
-        return replace(record, direction=level * record.direction, loop=fit.loop(), stated=stated)
+        direction, u_length = (1.0 - bend) * record.direction, np.sqrt(2.0) * bend
+        return replace(record, direction=direction, u_length=u_length, loop=fit.loop(), stated=stated)
     size = (fit.axes + 1) * len(fit.channels)
     u, free = excitation.sensor_in_flange_uncertainty, excitation.sensor_in_flange == "fit"
     return RotationRecord(
