@@ -192,20 +192,26 @@ class AngleFit(
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
-        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, of noise without rounding."""
+        """Return the noise covariance (2C, 2C) of a harmonic's amplitude, without rounding.
+
+        In the order [all Re, all Im].
+        """
         indices = self._columns(order)
         turn, noise = np.array([[1.0, -1.0], [-1.0, 1.0]]), self.rounding.without(self.noise)
         return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], noise))
 
     def rounding_effect(self, order: int = 1) -> FloatArray:
-        """Return the effect (2C, r) of rounding on [all Re, all Im] of a harmonic's amplitude."""
+        """Return the effect (2C, r) of rounding on a harmonic's amplitude, [all Re, all Im]."""
         estimators = np.stack([self.inverse @ self.design.T] * len(self.channels))
         columns = self._columns(order)
         effect = self.rounding.effect(estimators, self.design, self.reading, self.coefficient, self.noise, columns)
         return np.asarray(effect * np.repeat([1.0, -1.0], len(self.channels))[:, None])
 
     def loop(self) -> FloatArray:
-        """Return the square (C,) of the first harmonic of the difference between both senses, and its variance."""
+        """Return the squared difference (C,) between both senses, and its variance.
+
+        Of the first harmonic, amplitude.
+        """
         sense, none = turning_sense(self.angle_rad), np.zeros((2, len(self.channels)))
         if np.ptp(sense) == 0.0:
             return none

@@ -98,7 +98,7 @@ class WeightFit(Arrays, shapes="names R; load R 6"):
 
 
 def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
-    """Fit weight, first moment and true axes of every recording to all outputs per direction of gravity.
+    """Fit weight, first moment and true axes of every recording to all outputs.
 
     Parameters
     ----------
@@ -173,7 +173,10 @@ class _Test(NamedTuple):
 
 
 def _explained(fit: _WeightSolution, kind: int, test: int) -> _WeightSolution:
-    """Return the fit with a departure of forces (`kind` 0) or of moments (1) for which a test passes."""
+    """Return the fit with the departure for which a test passes.
+
+    Of forces (`kind` 0) or of moments (1).
+    """
     low, high = _SMALLEST_DEPARTURE, 1.0
     while high > low * _DEPARTURE_STEP:
         middle = float(np.sqrt(low * high))
@@ -237,7 +240,10 @@ class _WeightProblem:
         return np.asarray(1.0 / (variance + self.departures**2))
 
     def _variance(self, record: RotationRecord) -> FloatArray:
-        """Return the variance of every row, drawn to the mean of its kind where few readings tell the noise."""
+        """Return the variance of every row of a recording.
+
+        With few degrees of freedom it is drawn to the mean of its kind.
+        """
         variance = record.variance.reshape(record.response.shape)
         share = FEW_NOISE_DOF / (FEW_NOISE_DOF + record.dof)
         mean = np.zeros_like(variance)
@@ -262,7 +268,10 @@ class _WeightProblem:
     def outputs_of(
         self, r: int, vector: FloatArray, direction: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return outputs (K, C) of a recording for directions (K, 3) of gravity, and their derivatives (K, C, ...)."""
+        """Return outputs (K, C) of a recording, and their derivatives (K, C, ...).
+
+        `direction` (K, 3): of gravity, by default that of the record.
+        """
         record, own = self.records[r], slice(UNKNOWNS_PER_RECORD * r, UNKNOWNS_PER_RECORD * (r + 1))
         shared = UNKNOWNS_PER_RECORD * len(self.records)
         (rows, columns), matrix = self.elements.T, self.outputs.sensitivity.copy()
@@ -318,7 +327,7 @@ class _WeightSolution:
         return every, _Test(forces + float(shares.sum()), float(freedom))
 
     def _force_freedom(self, r: int) -> int:
-        """Return the number of force rows of a recording less that of the unknowns that they determine."""
+        """Return the number of force rows less that of the unknowns that they determine."""
         problem, record = self.problem, self.problem.records[r]
         rows = int(problem.outputs.forces.sum()) * len(record.response)
         if record.frame_stated:
@@ -411,7 +420,7 @@ def _lengthened(fit: _WeightSolution, size: int) -> FloatArray:
 
 
 def _effects(fit: _WeightSolution) -> tuple[FloatArray, FloatArray]:
-    """Return the effects (V, ...) of every row's error, and of every unknown's deviation from its prior."""
+    """Return the effects (V, ...) of errors of rows and of deviations from priors."""
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, (row, column) = len(problem.records), problem.elements.T
     shared_start = UNKNOWNS_PER_RECORD * count

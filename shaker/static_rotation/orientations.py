@@ -32,7 +32,9 @@ UNKNOWN_TILT_RAD = 0.1
 
 @dataclass(frozen=True, repr=False)
 class OrientationSeries(Arrays, shapes="direction N 3; tilt N 2 3; time N"):
-    """Gravity's `direction` (N, 3) in sensor axes, its change `tilt` (N, 2, 3) per rad of two tilts of the world.
+    """Gravity's `direction` (N, 3) in sensor axes.
+
+    `tilt` (N, 2, 3): its change per rad of two tilts of the world.
 
     `time` (N,): of the readings in s, or their order.
     """
@@ -47,7 +49,7 @@ class OrientationFit(
     Arrays,
     shapes="channels C; direction N 3; reading N C; time N; count N; design N P; coefficient P C; basis K 3; noise C C",
 ):
-    """Readings (N, C) of N poses as constant, outputs along K axes of gravity, and drift.
+    """Readings (N, C) of N poses as constant, gravity along K axes, and drift.
 
     reading = design · coefficient + residual. `terms` (P,): constant, "gravity 1" … along the rows of `basis` (K, 3)
     from the mean direction, and drift (over the time, from -1 to 1). `covariance` (P·C, P·C): of noise with `dof`
@@ -104,7 +106,7 @@ class OrientationFit(
         return float(size[0] / size[-1]) if self.axes == 3 and size[-1] > 0.0 else np.inf
 
     def further_pose(self) -> FloatArray:
-        """Return the direction (3,) of gravity, an axis up or down, that the poses determine least."""
+        """Return the axis (3,), up or down, that the poses determine least."""
         design = np.column_stack([np.ones(len(self.direction)), self.direction])
         candidates = np.column_stack([np.ones(6), np.vstack([np.eye(3), -np.eye(3)])])
         normal = design.T @ design + MIN_SPREAD**2 * np.eye(4)
@@ -167,7 +169,10 @@ def fit_orientations(
 
 
 def linear_misfit(direction: FloatArray, reading: FloatArray) -> float:
-    """Return the share of the variance of readings (N, C), median, that gravity's direction (N, 3) leaves."""
+    """Return the median share of the variance of readings that gravity leaves.
+
+    `direction` (N, 3), `reading` (N, C).
+    """
     design = np.column_stack([np.ones(len(direction)), direction])
     residual = reading - design @ np.linalg.lstsq(design, reading, rcond=None)[0]
     total = np.sum((reading - reading.mean(axis=0)) ** 2, axis=0)
@@ -178,7 +183,10 @@ def linear_misfit(direction: FloatArray, reading: FloatArray) -> float:
 def _poses(
     series: OrientationSeries, values: FloatArray
 ) -> tuple[OrientationSeries, FloatArray, IntArray, tuple[FloatArray, int]]:
-    """Return the means of consecutive readings in one direction, their numbers, and their covariance within a pose."""
+    """Return the means of consecutive readings in one direction.
+
+    With their numbers, and the covariance of a mean by the readings within a pose.
+    """
     starts = [0]
     for i, direction in enumerate(series.direction):
         if np.linalg.norm(direction - series.direction[starts[-1]]) > SAME_DIRECTION_RAD:
@@ -198,11 +206,11 @@ def _poses(
 
 
 def _undithered(digit: FloatArray, within: tuple[FloatArray, int], count: IntArray) -> FloatArray:
-    """Return the share (C,) of the rounding error that a mean of `count` noisy readings keeps."""
+    """Return the share (C,) of the rounding error in means of `count` noisy readings."""
     number = 1.0 / float(np.mean(1.0 / count))
     noise = np.diag(within[0]) * number / np.where(digit > 0.0, digit, np.inf) ** 2
-    kept = np.exp(-4.0 * np.pi**2 * np.maximum(noise - 1.0 / 12.0, 0.0))
-    return np.asarray(np.sqrt(np.maximum(kept, 1.0 / number)))
+    left_share = np.exp(-4.0 * np.pi**2 * np.maximum(noise - 1.0 / 12.0, 0.0))
+    return np.asarray(np.sqrt(np.maximum(left_share, 1.0 / number)))
 
 
 def _mean(group: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -233,7 +241,10 @@ def _places(direction: FloatArray) -> IntArray:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Readings (N, C) of poses as a linear model of gravity; `within`: covariance of a mean, with its freedom."""
+    """Readings (N, C) of poses as a linear model of gravity.
+
+    `within`: covariance of a mean by the readings of a pose, with its degrees of freedom.
+    """
 
     channels: tuple[str, ...]
     series: OrientationSeries
@@ -277,7 +288,10 @@ class _Problem:
         return np.asarray(values - basis @ (basis.T @ values))
 
     def walks(self) -> FloatArray:
-        """Return the variance (C,) of a random walk over that of the noise, 0 where it is not significant."""
+        """Return the variance (C,) of a random walk over that of the noise.
+
+        0 where it is not significant.
+        """
         if len(self.reading) < MIN_DRIFT_POSES:
             return np.zeros(len(self.channels))
         outside = np.linalg.qr(self.design, mode="complete")[0][:, self.design.shape[1] :]
@@ -297,7 +311,7 @@ class _Problem:
 
     @cached_property
     def walk_covariance(self) -> FloatArray:
-        """Covariance (N, N) of a random walk of variance 1 over the series, from its mean."""
+        """Covariance (N, N) of a random walk of variance 1, from its mean."""
         time = (self.time + 1.0) / 2.0
         walk = np.minimum(time[:, None], time)
         return np.asarray(walk - walk.mean(axis=0) - walk.mean(axis=1, keepdims=True) + walk.mean())
@@ -324,7 +338,10 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Estimators (C, P, N), coefficients (P, C), roots of the covariances (C, N, N) and noise of a problem."""
+    """Estimators (C, P, N), coefficients (P, C) and noise of a problem.
+
+    `roots` (N, N) of the covariance of each channel.
+    """
 
     problem: _Problem
     walk: FloatArray
@@ -378,7 +395,7 @@ class _Solution:
         return np.asarray(np.einsum("njx,cx->jnc", self.problem.series.tilt, self.gradient))
 
     def down_tilt(self, u_down_rad: float | None, tilt: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-        """Return a step (2,) of the tilt of the world, its covariance, and whether it is significant."""
+        """Return a step (2,) of the world's tilt, its covariance and significance."""
         from scipy.special import fdtrc
 
         columns = np.stack([self.white_left(each).ravel() for each in self.tilted()], axis=1)
@@ -395,7 +412,10 @@ class _Solution:
         return step, np.asarray(covariance, np.float64), bool(fdtrc(2.0, freedom, ratio) < CHANCE)
 
     def pose_errors(self, place: IntArray, u_pose_rad: float) -> tuple[FloatArray, FloatArray]:
-        """Return the effect (P·C, r) of the errors of the poses on the terms, and their variance (C,) in a reading."""
+        """Return the effect (P·C, r) of errors of the poses on the terms.
+
+        With their variance (C,) in a reading.
+        """
         direction, terms = self.problem.series.direction, len(self.coefficient)
         lever = u_pose_rad * np.cross(direction[None], self.gradient[:, None])
         effect = np.zeros((terms, len(self.problem.channels), place.max() + 1, 3))
@@ -405,7 +425,10 @@ class _Solution:
         return covariance_root(wide @ wide.T), np.mean(np.sum(lever**2, axis=2), axis=1)
 
     def loop(self) -> FloatArray:
-        """Return the square (C,) of the loop by the difference after a rise and after a fall, and its variance."""
+        """Return the square (C,) of the loop, and its variance.
+
+        By the difference between readings after a rise and after a fall.
+        """
         gravity = self.problem.design[:, : len(self.problem.basis)] @ self.coefficient[: len(self.problem.basis)]
         sense = 0.5 * np.vstack([np.zeros((1, gravity.shape[1])), np.sign(np.diff(gravity, axis=0))])
         columns = self.white_left(sense)

@@ -76,7 +76,7 @@ class Rounding(Arrays, shapes="digit C"):
         noise: FloatArray,
         selected: Sequence[int],
     ) -> FloatArray:
-        """Return the effect (T·C, r) of rounding on T selected coefficients (P, C) of a design (N, P).
+        """Return the effect (T·C, r) of rounding on T selected coefficients.
 
         `estimator` (C, P, N). Coefficients of less than a digit may themselves be lost.
         """
@@ -96,7 +96,10 @@ class Rounding(Arrays, shapes="digit C"):
 
 
 def last_digit(column: FloatArray) -> float:
-    """Return the last digit of all readings, 1, 2, 5 times 10ⁿ, or the step of a converter; 0 without either."""
+    """Return the last digit of all readings, or the step of a converter.
+
+    A digit is 1, 2 or 5 times 10ⁿ; 0 without either.
+    """
     largest = float(np.abs(column).max())
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0

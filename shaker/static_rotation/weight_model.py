@@ -59,7 +59,7 @@ class SensorOutputs(Arrays, shapes="sensitivity C 6; u C 6"):
 
 
 class OutputEffect(NamedTuple):
-    """Stated errors of one name: effect (T, r) of r unit deviations on the terms of a record."""
+    """Errors of one name: `effect` (T, r) of r unit deviations on T terms."""
 
     name: str
     effect: FloatArray
@@ -109,7 +109,7 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
         return along, np.cross(self.axis, along)
 
     def loop_share(self, outputs: BoolArray) -> float:
-        """Return the loop over the output, of some outputs together, less its noise; 0 within noise."""
+        """Return the loop over the output, of some outputs together, 0 within noise."""
         square, variance, size = self.loop[0, outputs], self.loop[1, outputs], np.sum(self.response**2, axis=0)[outputs]
         weight = np.divide(size, variance, out=np.zeros(len(size)), where=variance > 0.0)
         ratio = np.divide(square, variance, out=np.zeros(len(size)), where=variance > 0.0)
@@ -156,9 +156,9 @@ def weight_load(
     columns[:, :3, 0] = seen
     columns[:, 3:, 1:4] = np.tensordot(seen, CROSS, (1, 2))
     load = columns[:, :, :4] @ unknowns[:4]
-    turned = np.tensordot(seen, CROSS, (1, 2)) @ np.stack([-record.axis, across, -along], axis=1)
-    columns[:, :3, 4:] = unknowns[0] * turned
-    columns[:, 3:, 4:] = np.tensordot(unknowns[1:4], CROSS, (0, 1)) @ turned
+    rotated = np.tensordot(seen, CROSS, (1, 2)) @ np.stack([-record.axis, across, -along], axis=1)
+    columns[:, :3, 4:] = unknowns[0] * rotated
+    columns[:, 3:, 4:] = np.tensordot(unknowns[1:4], CROSS, (0, 1)) @ rotated
     return np.asarray(load), columns
 
 
@@ -188,7 +188,10 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def true_direction(record: RotationRecord, rotation: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return directions (K, 3) of gravity in the true axes of the sensor, rotated by (3,) from the stated ones."""
+    """Return directions (K, 3) of gravity in the true axes of the sensor.
+
+    `rotation` (3,): from the stated axes, about the axis and two tilts.
+    """
     from scipy.spatial.transform import Rotation
 
     along, across = record.frame
@@ -199,13 +202,13 @@ def true_direction(record: RotationRecord, rotation: FloatArray, direction: Floa
 
 
 def rotation_vector(record: RotationRecord, unknowns: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,) of a record's unknowns, from the stated to the true axes, small tilts."""
+    """Return the rotation vector (3,) from the stated to the true axes, small tilts."""
     along, across = record.frame
     return np.asarray(unknowns[5] * across - unknowns[6] * along - unknowns[4] * record.axis)
 
 
 def hysteresis_share(records: Sequence[RotationRecord], record: RotationRecord, outputs: BoolArray) -> float:
-    """Return the loop over the output of a recording, or of one with a larger output, of some outputs (C,).
+    """Return the loop over the output, of a recording or one with larger output.
 
     The mean of both senses may be off by up to the loop: what its middle deviates from the line of the calibration
     depends on the range of that.

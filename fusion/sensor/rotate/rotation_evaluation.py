@@ -196,7 +196,7 @@ def _head_notices(recordings: Sequence[RotationRecording], records: Sequence[Rot
 def _hysteresis_notices(
     records: Sequence[RotationRecord], outputs: SensorOutputs, numbers: Sequence[RotationQuantity]
 ) -> Iterator[Notice]:
-    """Yield notices on hysteresis where it is most of the uncertainty of a mass or of a centre."""
+    """Yield notices on hysteresis that is most of a mass's or centre's U."""
     named = [q for q in numbers if q.name.endswith(("_mass", "_centre_of_mass"))]
     if not any(q.budget.get(HYSTERESIS_SOURCE, 0.0) ** 2 > 0.5 * q.u**2 for q in named):
         return
@@ -452,13 +452,13 @@ def _frame(inputs: _PerturbedInputs, r: int) -> LabelledValues:
             if abs(along[i]) + abs(across[i]) > 0.5:
                 yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
         return
-    turned = np.array([rotation_vector(record, column) for column in row.T]).T
+    rotated = np.array([rotation_vector(record, column) for column in row.T]).T
     if recording.manifest.excitation.sensor_in_flange == "fit":
-        turned = mounted_vectors(recording.mounted, turned)
+        rotated = mounted_vectors(recording.mounted, rotated)
         labels = ("sensor_in_flange", "rotation vector from sensor to flange")
     else:
         labels = ("frame_tilt", "true axes minus stated axes")
-    for axis, angle in zip(AXES, turned, strict=True):
+    for axis, angle in zip(AXES, rotated, strict=True):
         yield QuantityLabel("rad", *labels, axis, name), angle
     before = sum(len(each.constant) for each in inputs.mass_inputs.records[:r])
     offset = inputs.offset[before : before + len(record.constant)]

@@ -1,4 +1,4 @@
-"""Force part of the static matrix from the weight of a known load in any orientations."""
+"""Force part of the static matrix from the weight of a known load."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def force_sensitivity(
 def _weight(
     load: Sequence[WeighedBody], gravity: SourcedValue, air: SourcedValue
 ) -> tuple[float, list[tuple[str, float]]]:
-    """Return the weight of the load in air, N, and its relative standard uncertainties by cause."""
+    """Return the weight of the load in air, N, and its relative u by cause."""
     mass, volume = np.array([body.mass_kg for body in load]), np.array([body.volume_m3kg for body in load])
     weight = gravity.value * float(np.sum(mass * (1.0 - air.value * volume)))
     u_mass = float(np.linalg.norm([body.u_mass_kg for body in load]))

@@ -286,7 +286,7 @@ def read_rotations(
     digit = np.min(np.where(digits > 0.0, digits, np.inf), axis=0)
     moves = np.any([np.ptp(table.reading, axis=0) > 0.0 for table in tables], axis=0)
     moves |= np.isfinite(digit) & _along_axis(manifests, sensor_outputs(sensor, list(first.units), first.are_loads))
-    kept = np.array([i for i, moving in enumerate(moves) if moving], np.int64)
+    used = np.array([i for i, moving in enumerate(moves) if moving], np.int64)
     channels, constant = ([name for name, m in zip(first.units, moves, strict=True) if m == of] for of in (True, False))
     missing = [name for name in sensor.channels if name not in first.units]
     for manifest, table in zip(manifests, tables, strict=True):
@@ -299,16 +299,16 @@ def read_rotations(
     if not channels:
         raise wrong_table(first.path, "", "readings that change with the angle", "constant readings")
     outputs = sensor_outputs(sensor, channels, first.are_loads)
-    digit = np.where(np.isfinite(digit), digit, 0.0)[kept]
+    digit = np.where(np.isfinite(digit), digit, 0.0)[used]
     recordings = [
-        _recording(manifest, replace(table, reading=table.reading[:, kept]), outputs, tuple(channels), digit)
+        _recording(manifest, replace(table, reading=table.reading[:, used]), outputs, tuple(channels), digit)
         for manifest, table in zip(manifests, tables, strict=True)
     ]
     return tuple(recordings), outputs, notices
 
 
 def sensor_outputs(sensor: Sensor, channels: Sequence[str], are_loads: bool) -> SensorOutputs:
-    """Return the stated calibration matrix of some channels, with the uncertainty of its cross-talk if stated."""
+    """Return the stated calibration matrix of some channels with its uncertainty."""
     sense: Literal[1, -1] = 1 if sensor.sense == "on_sensor" else -1
     if are_loads:
         matrix = np.eye(len(LOAD_COMPONENTS))[[LOAD_COMPONENTS.index(name) for name in channels]]
@@ -324,7 +324,7 @@ def sensor_outputs(sensor: Sensor, channels: Sequence[str], are_loads: bool) -> 
 
 
 def _along_axis(manifests: Sequence[Manifest], outputs: SensorOutputs) -> BoolArray:
-    """Return which outputs (C,) are mainly of the force along the axis of every recording's head."""
+    """Return which outputs (C,) respond mainly to the force along the head's axis."""
     axes = [np.zeros(3) if m.excitation.axis is None else np.array(m.excitation.axis) for m in manifests]
     main = np.argmax(np.abs(outputs.sensitivity[:, :FORCES]), axis=1)
     along = np.min(np.abs(axes), axis=0) > np.sqrt(1.0 - MIN_FORCE_SHARE**2)
@@ -369,7 +369,7 @@ def _recording(
 def _orientation_fit(
     manifest: Manifest, table: RotationTable, outputs: SensorOutputs, channels: tuple[str, ...], digit: FloatArray
 ) -> tuple[OrientationFit, FloatArray]:
-    """Return the fit of readings in any orientations, and the rotation on the flange, estimated where unknown."""
+    """Return the fit of readings in any orientations, and the rotation on the flange."""
     excitation = manifest.excitation
     mounted = np.eye(3) if excitation.sensor_in_flange == "fit" else np.array(excitation.sensor_in_flange)
     u_pose, u_down = excitation.orientation_uncertainty, excitation.down_uncertainty
@@ -378,15 +378,18 @@ def _orientation_fit(
         fit = fit_orientations(channels, series, table.reading, digit, u_pose, u_down)
         if excitation.sensor_in_flange != "fit":
             return fit, mounted
-        turned = mounted_rotation(fit, outputs)
+        mounted = mounted_rotation(fit, outputs)
     except ValueError as error:
         raise InputError.from_exception(error, table.path, table.names[0]) from error
-    series = orientation_series(manifest, table, turned)
-    return fit_orientations(channels, series, table.reading, digit, u_pose, u_down), turned
+    series = orientation_series(manifest, table, mounted)
+    return fit_orientations(channels, series, table.reading, digit, u_pose, u_down), mounted
 
 
 def mounted_rotation(fit: OrientationFit, outputs: SensorOutputs) -> FloatArray:
-    """Return the rotation x_flange = R·x_sensor (3, 3) for which forces are along gravity (Kabsch 1976)."""
+    """Return the rotation (3, 3) for which forces are along gravity.
+
+    x_flange = R·x_sensor (Kabsch 1976, Acta Cryst. A32, 922).
+    """
     if not outputs.determined[:3].all():
         raise ValueError('sensor_in_flange: expected three forces for the rotation "fit", found fewer')
     force = outputs.sense * (outputs.inverse @ fit.coefficient[: fit.axes].T)[:3] @ fit.basis
@@ -395,15 +398,18 @@ def mounted_rotation(fit: OrientationFit, outputs: SensorOutputs) -> FloatArray:
     return np.asarray((left * sign @ right).T)
 
 
-def mounted_vectors(mounted: FloatArray, turned: FloatArray) -> FloatArray:
-    """Return the rotation vectors (3, B) from sensor to flange, of axes rotated by (3, B) against the stated ones."""
+def mounted_vectors(mounted: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the rotation vectors (3, B) from sensor to flange.
+
+    `rotation` (3, B): of the true axes against the stated ones.
+    """
     from scipy.spatial.transform import Rotation
 
-    return np.asarray((Rotation.from_matrix(mounted) * Rotation.from_rotvec(-turned.T)).as_rotvec().T)
+    return np.asarray((Rotation.from_matrix(mounted) * Rotation.from_rotvec(-rotation.T)).as_rotvec().T)
 
 
 def gravity_record(recording: RotationRecording) -> RotationRecord:
-    """Return the outputs of a recording per direction of gravity, with the stated axes of the sensor."""
+    """Return the outputs of a recording per direction of gravity, in stated axes."""
     excitation, fit = recording.manifest.excitation, recording.fit
     if isinstance(fit, AngleFit):
         axis, down = np.array(excitation.axis), np.array(excitation.zero_gravity)

@@ -87,7 +87,7 @@ def _term_name(name: str) -> str:
 
 
 def _further_terms(recording: RotationRecording) -> str:
-    """Return the names of the terms in addition to offset and first harmonic, or offset and gravity."""
+    """Return the names of the terms in addition to offset and gravity."""
     if isinstance(recording.fit, OrientationFit):
         walk = ["random walk"] if recording.fit.walk.any() else []
         return ", ".join([*recording.fit.terms[recording.fit.axes + 1 :], *walk])

@@ -1,4 +1,4 @@
-"""Tables of rotation tests: columns of the channels, of the head's angle or of the orientation."""
+"""Tables of rotation tests: channels, and angle of the head or orientation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ chosen."""
 
 @dataclass(frozen=True)
 class RotationTable:
-    """Channels with `units`, as loads or outputs, and the columns `names` (N, M) of angle or orientation.
+    """Channels with `units`, as loads or outputs, and angle or orientation.
+
+    `pose` (N, M): the columns `names` of angle or orientation.
 
     `reading` (N, C) with its last `digit` (C,). `time` (N,): in s, or the order.
     """
@@ -46,7 +48,7 @@ class RotationTable:
     units: dict[str, str]
     are_loads: bool
     names: tuple[str, ...]
-    turned: FloatArray
+    pose: FloatArray
     reading: FloatArray
     digit: FloatArray
     time: FloatArray
@@ -57,7 +59,7 @@ def read_rotation_table(manifest: Manifest, sensor: Sensor) -> RotationTable:
     path = table_path(manifest)
     with as_input_error(path):
         stated = table_units(path)
-    names = _turned_columns(manifest, stated)
+    names = _pose_columns(manifest, stated)
     units, are_loads = _channels(manifest, sensor, stated)
     timed = (TIME,) if TIME in stated and manifest.excitation.orientation else ()
     wanted = [*names, *units, *timed]
@@ -92,7 +94,7 @@ def wrong_table(file: Path, key: str, expected: str, found: str) -> InputError:
     return InputError(declared.WRONG_ROTATION_TABLE, file, key, expected=expected, found=found)
 
 
-def _turned_columns(manifest: Manifest, units: dict[str, str]) -> tuple[str, ...]:
+def _pose_columns(manifest: Manifest, units: dict[str, str]) -> tuple[str, ...]:
     """Return the columns of angle or orientation, whose unit must be that of the manifest."""
     path, excitation = table_path(manifest), manifest.excitation
     sets: Sequence[tuple[str, ...]] = ((ANGLE,),)
@@ -133,21 +135,24 @@ def in_radians(manifest: Manifest, table: RotationTable) -> FloatArray:
         np.pi / 180.0 if (ANGLE_UNITS.get(units[n].strip().lower()) or manifest.excitation.angle_unit) == "deg" else 1.0
         for n in table.names
     ]
-    return np.asarray(table.turned * factors)
+    return np.asarray(table.pose * factors)
 
 
 # Orientations.
 
 
 def orientation_series(manifest: Manifest, table: RotationTable, mounted: FloatArray) -> OrientationSeries:
-    """Return gravity's direction of every row in sensor axes; `mounted` (3, 3): x_flange = mounted · x_sensor."""
+    """Return gravity's direction of every row in sensor axes.
+
+    `mounted` (3, 3): x_flange = mounted · x_sensor.
+    """
     excitation, (down, across) = manifest.excitation, _down(manifest)
     if excitation.orientation == "gravity_in_sensor":
-        size = np.linalg.norm(table.turned, axis=1, keepdims=True)
+        size = np.linalg.norm(table.pose, axis=1, keepdims=True)
         if not np.all(size > 0.0):
             row = int(np.argmin(size)) + 1
             raise wrong_table(table.path, table.names[0], "a direction in every row", f"zeros in row {row}")
-        direction = table.turned / size * (1.0 if table.names == GRAVITY else -1.0)
+        direction = table.pose / size * (1.0 if table.names == GRAVITY else -1.0)
         return OrientationSeries(direction @ mounted, np.zeros((len(direction), 2, 3)), table.time)
     world_from_flange = _rotations(manifest, table)
     if excitation.orientation == "world_in_sensor":
@@ -170,7 +175,7 @@ def _rotations(manifest: Manifest, table: RotationTable) -> FloatArray:
     """Return the stated rotation matrices (N, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    values, path = table.turned, table.path
+    values, path = table.pose, table.path
     if table.names == QUATERNION:
         length = np.linalg.norm(values, axis=1)
         wrong = np.abs(length - 1.0) > UNIT_TOLERANCE
@@ -205,14 +210,14 @@ def _refuse_other_poses(manifest: Manifest, table: RotationTable, stated: FloatA
     inverse = "world_in_sensor" if orientation == "sensor_in_world" else "sensor_in_world"
     others = [(stated, key, f'"{inverse}", which the readings follow', f'"{orientation}"')]
     if table.names == QUATERNION:
-        first = Rotation.from_quat(np.roll(table.turned, -1, axis=1)).as_matrix()
+        first = Rotation.from_quat(np.roll(table.pose, -1, axis=1)).as_matrix()
         first = first.swapaxes(1, 2) if orientation == "world_in_sensor" else first
         expected, found = "the real part of the quaternion in this column", "it in the first one"
         others.append((first.swapaxes(1, 2), (table.path, "qw"), expected, found))
     if table.names in (ROTATION_VECTOR, TILT):
-        degrees = bool(np.ptp(in_radians(manifest, table) - table.turned) > 0.0)
+        degrees = bool(np.ptp(in_radians(manifest, table) - table.pose) > 0.0)
         factor, units = (180.0 / np.pi, "rad, deg") if degrees else (np.pi / 180.0, "deg, rad")
-        other = _rotations(manifest, replace(table, turned=factor * table.turned))
+        other = _rotations(manifest, replace(table, pose=factor * table.pose))
         other = other.swapaxes(1, 2) if orientation == "world_in_sensor" else other
         expected, found = units.split(", ")
         others.append((other.swapaxes(1, 2), (table.path, table.names[0]), expected, found))
