@@ -14,7 +14,18 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
-PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "steps", "loads", "elastomer")
+PRESETS = (
+    *RECORDINGS,
+    "targets",
+    "chirp",
+    "masses",
+    "pitching",
+    "rotation",
+    "orientations",
+    "steps",
+    "loads",
+    "elastomer",
+)
 
 
 def simulate(
@@ -100,8 +111,10 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
 
         if preset == "targets":
             write_session(folder, seed, progress)
+        elif preset == "elastomer":
+            write_element(folder, seed)
         else:
-            (write_rotation if preset == "rotation" else write_element)(folder, seed)
+            write_rotation(folder, seed, posed=preset == "orientations")
 
 
 def _check_out(out: Path) -> None:

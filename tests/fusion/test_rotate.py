@@ -247,7 +247,7 @@ def test_files_of_a_run(campaign, capsys):
 
 def test_the_example_of_the_documentation_is_the_simulated_recording(simulated):
     text = (DOCS / "rotation.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    example, _ = re.findall(r"^```toml\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     written = tomllib.loads((simulated / LOADED / "recording.toml").read_text(encoding="utf-8"))
     assert tomllib.loads(example)["excitation"] == written["excitation"]
 
