@@ -81,7 +81,7 @@ def write_rotation(
     draws = Draws(seed, True)
     tables = {
         "format": 1,
-        "name": "six-component sensor on an indexing head, simulated",
+        "name": f"six-component sensor on {'a robot' if posed else 'an indexing head'}, simulated",
         "sensor": {
             "name": "six-component sensor",
             "channels": list(LOAD_COMPONENTS),
