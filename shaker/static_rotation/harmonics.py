@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shaker.static_rotation.rounding import Rounding, last_digit
+from shaker.static_rotation.series_noise import SeriesFit, coefficient_covariance, find_walks, walk_covariance
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
@@ -142,7 +143,9 @@ HIGHEST_ORDER = 8  # of a harmonic
 MIN_DOF = 3  # of a fit with an additional term
 LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
 SAME_ANGLE_RAD = 1e-3  # about 0.06°
+STRONG = 10.0  # difference of the information criterion: very strong evidence (Kass and Raftery 1995)
 PRECISION = 1e-12  # relative, of computed numbers
+Term = tuple[str, FloatArray]
 
 
 class Reversal(NamedTuple):
@@ -155,14 +158,16 @@ class Reversal(NamedTuple):
 @dataclass(frozen=True, repr=False)
 class AngleFit(
     Arrays,
-    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; inverse P P; noise C C",
+    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; spread C P N; noise C C; "
+    "walk C",
 ):
     """Readings (N, C) at angles (N,) as a sum of terms.
 
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
     cos 1, sin 1, and if significant cos n, sin n, drift (over the order of the readings, from -1 to 1) and sense
-    (difference between forward and backward rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a
-    reading with `dof` degrees of freedom, which includes its `rounding`.
+    (difference between forward and backward rotation). `noise` (C, C): covariance of a reading with `dof` degrees
+    of freedom, which includes its `rounding`. `walk` (C,): variance of a random walk over it. `estimator`, `spread` (C,
+    P, N): coefficient per reading, and per unit of noise.
     """
 
     channels: tuple[str, ...]
@@ -171,10 +176,12 @@ class AngleFit(
     terms: tuple[str, ...]
     design: FloatArray
     coefficient: FloatArray
-    inverse: FloatArray
+    estimator: FloatArray
+    spread: FloatArray
     noise: FloatArray
     dof: float
     rounding: Rounding
+    walk: FloatArray
 
     @property
     def residual(self) -> FloatArray:
@@ -196,15 +203,19 @@ class AngleFit(
 
         In the order [all Re, all Im].
         """
-        indices = self._columns(order)
-        turn, noise = np.array([[1.0, -1.0], [-1.0, 1.0]]), self.rounding.without(self.noise)
-        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], noise))
+        signed = self.spread[:, self._columns(order)] * np.array([[1.0], [-1.0]])
+        return coefficient_covariance(signed, self.rounding.without(self.noise))
+
+    def combined(self, row: FloatArray) -> FloatArray:
+        """Return the covariance (P, P) of the coefficients of the sum of channels with factors (C,)."""
+        terms = len(self.terms)
+        whole = coefficient_covariance(self.spread, self.noise).reshape(terms, len(row), terms, len(row))
+        return np.asarray(np.einsum("c,pcqd,d->pq", row, whole, row))
 
     def rounding_effect(self, order: int = 1) -> FloatArray:
         """Return the effect (2C, r) of rounding on a harmonic's amplitude, [all Re, all Im]."""
-        estimators = np.stack([self.inverse @ self.design.T] * len(self.channels))
         columns = self._columns(order)
-        effect = self.rounding.effect(estimators, self.design, self.reading, self.coefficient, self.noise, columns)
+        effect = self.rounding.effect(self.estimator, self.design, self.reading, self.coefficient, self.noise, columns)
         return np.asarray(effect * np.repeat([1.0, -1.0], len(self.channels))[:, None])
 
     def loop(self) -> FloatArray:
@@ -220,9 +231,9 @@ class AngleFit(
         design = np.column_stack([design, *(0.5 * sense * _periodic(name, self.angle_rad) for name in names[:3])])
         if len(design) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
             return none
-        inverse = np.linalg.inv(design.T @ design)
-        size = np.sum((inverse[-2:] @ design.T @ self.reading) ** 2, axis=0)
-        return np.stack([size, np.trace(inverse[-2:, -2:]) * np.diag(self.noise)])
+        fit = SeriesFit.of(design, self.reading, self.walk, _walk(len(design)))
+        variance = np.sum(fit.spread[:, -2:] ** 2, axis=(1, 2)) * np.diag(self.noise)
+        return np.stack([np.sum(fit.coefficient[-2:] ** 2, axis=0), variance])
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
@@ -255,7 +266,7 @@ def fit_angles(
     ways, the difference between both senses. The most significant term enters first. It must be significant in an F
     test of one channel with a chance below 1 in 1000 for all channels together. The variance of a reading is at least
     a²/12 for its last `digit` a (C,), by default that of the readings. Equal readings share their rounding
-    error.
+    error. A random walk replaces terms that it explains with fewer parameters (Bayesian information criterion).
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -271,17 +282,41 @@ def fit_angles(
     computed = (PRECISION * np.abs(values).max(axis=0)) ** 2
     repeats = len(angle) / np.array([len(np.unique(column)) for column in values.T])  # of one rounding error
     floor, names = rounding.variance + computed, [name for name, _ in terms]
-    while (entering := _clearest(design, blocks, values, repeats * floor)) is not None:
+    slow = [column for block in blocks for name, column in block if name.startswith(("drift", "sense"))]
+    walks = find_walks(np.column_stack([design, *slow]), values, _walk(len(angle)), floor)
+    candidates = [_selected(names, design, blocks, values, repeats * floor, each) for each in (0.0 * walks, walks)]
+    names, fit = candidates[0]
+    if walks.any() and candidates[1][1].criterion(floor) < fit.criterion(floor) - STRONG:
+        names, fit = candidates[1]
+    noise = fit.noise + np.diag(np.maximum(0.0, floor - np.diag(fit.noise)))
+    return AngleFit(
+        channels, angle, values, tuple(names), fit.design, fit.coefficient, fit.estimator, fit.spread, noise, fit.dof,
+        rounding, fit.walk,
+    )  # fmt: skip
+
+
+def _walk(count: int) -> FloatArray:
+    """Return the covariance (N, N) of a random walk over the order of the readings."""
+    return walk_covariance(np.arange(float(count)))
+
+
+def _selected(
+    names: list[str],
+    design: FloatArray,
+    blocks: list[list[Term]],
+    values: FloatArray,
+    floor: FloatArray,
+    walk: FloatArray,
+) -> tuple[list[str], SeriesFit]:
+    """Return names and fit of the terms that enter with given random walks (C,)."""
+    names, blocks = list(names), list(blocks)
+    fit = SeriesFit.of(design, values, walk, _walk(len(values)))
+    while (entering := _clearest(fit, blocks, values, floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
-        design = np.column_stack([design, *(column for _, column in block)])
-    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
-    coefficient = inverse @ design.T @ values
-    residual = values - design @ coefficient
-    dof = len(design) - len(names)
-    noise = residual.T @ residual / dof
-    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
-    return AngleFit(channels, angle, values, tuple(names), design, coefficient, inverse, noise, float(dof), rounding)
+        design = np.column_stack([fit.design, *(column for _, column in block)])
+        fit = SeriesFit.of(design, values, walk, _walk(len(values)))
+    return names, fit
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
@@ -293,9 +328,6 @@ def turning_sense(angle_rad: FloatArray) -> FloatArray:
     moved = sense[sense != 0.0]
     first = moved[0] if len(moved) else 0.0
     return np.concatenate([[first], np.where(sense == 0.0, first, sense)])
-
-
-Term = tuple[str, FloatArray]
 
 
 def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
@@ -328,25 +360,38 @@ def _distinct(angle: FloatArray) -> FloatArray:
     return np.asarray(distinct[:-1] if wraps else distinct)
 
 
-def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
+def _clearest(fit: SeriesFit, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
     """Return the index of the most significant block, None without one."""
+    least = CHANCE / max(1, len(floor))
+    chances = np.ones(len(blocks))
+    for walk in set(fit.walk.tolist()):
+        group = np.flatnonzero(fit.walk == walk)
+        root, columns = fit.roots[group[0]], [np.stack([column for _, column in block], axis=1) for block in blocks]
+        if walk:
+            white = [np.linalg.solve(root, each) for each in (fit.design, values[:, group], *columns)]
+        else:
+            white = [fit.design, values[:, group], *columns]
+        chances = np.minimum(chances, _chances(white[0], white[2:], white[1], floor[group]))
+    best = int(np.argmin(chances)) if len(blocks) else 0
+    return best if len(blocks) and chances[best] < least else None
+
+
+def _chances(design: FloatArray, blocks: list[FloatArray], values: FloatArray, floor: FloatArray) -> FloatArray:
+    """Return the least chance of each block (N, B) by F tests of every channel, 1 where it is not separate."""
     from scipy.special import fdtrc
 
     basis = np.linalg.qr(design)[0]
     left = values - basis @ (basis.T @ values)
     before = np.sum(left**2, axis=0)
-    best, least = None, CHANCE / max(1, len(floor))
-    for index, block in enumerate(blocks):
-        columns = np.stack([column for _, column in block], axis=1)
+    chances = np.ones(len(blocks))
+    for index, columns in enumerate(blocks):
         orthogonal = columns - basis @ (basis.T @ columns)
-        dof = len(design) - design.shape[1] - len(block)
+        dof = len(design) - design.shape[1] - columns.shape[1]
         axes, size, _ = np.linalg.svd(orthogonal, full_matrices=False)
         if dof < MIN_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
         gain = np.sum((axes.T @ left) ** 2, axis=0)
         noise = np.maximum((before - gain) / dof, floor)
-        ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
-        chance = float(np.min(fdtrc(len(block), dof, ratio)))
-        if chance < least:
-            best, least = index, chance
-    return best
+        ratio = gain / columns.shape[1] / np.where(noise > 0.0, noise, 1.0)
+        chances[index] = float(np.min(fdtrc(columns.shape[1], dof, ratio)))
+    return chances

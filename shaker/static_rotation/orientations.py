@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from shaker.static_rotation.rounding import Rounding, last_digit
+from shaker.static_rotation.series_noise import SeriesFit, coefficient_covariance, find_walks, walk_covariance
 from shaker.static_rotation.weight_model import OutputEffect
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 from shakercal._common.propagation import covariance_root
@@ -21,11 +22,7 @@ MOST_POSES = 1000  # beyond which neighbouring ones are averaged
 MIN_DRIFT_POSES = 12  # from which a linear drift is always fitted
 CHANCE = 1e-3  # of a false term
 SAME_SCATTER = 0.05  # chance below which the scatter of poses exceeds that of repeated readings
-WALK_GAIN = 5.41
-"""Twice the gain in log likelihood of a random walk: 1 % of series without any exceed it (Self and Liang 1987)."""
 LOOP_OF_STEPS = 2.0  # a loop over the difference after a rise and after a fall, by steps of half its length
-WALKS = np.geomspace(1e-2, 4.0, 20)
-"""Variance of a step of a random walk over that of the noise: larger ones leave the noise undetermined."""
 PRECISION = 1e-12  # relative, of computed numbers
 UNKNOWN_TILT_RAD = 0.1
 
@@ -287,38 +284,10 @@ class _Problem:
         basis = np.linalg.qr(self.design)[0]
         return np.asarray(values - basis @ (basis.T @ values))
 
-    def walks(self) -> FloatArray:
-        """Return the variance (C,) of a random walk over that of the noise.
-
-        0 where it is not significant.
-        """
-        if len(self.reading) < MIN_DRIFT_POSES:
-            return np.zeros(len(self.channels))
-        outside = np.linalg.qr(self.design, mode="complete")[0][:, self.design.shape[1] :]
-        size, axes = np.linalg.eigh(outside.T @ self.walk_covariance @ outside)
-        squares = (axes.T @ outside.T @ self.reading) ** 2
-        found = []
-        for c, column in enumerate(squares.T):
-            base = max(float(column.sum()), len(column) * float(self.floor[c]))
-            gains = [0.0]
-            for walk in len(self.reading) * WALKS:
-                scaled = 1.0 + walk * size
-                left = max(float(np.sum(column / scaled)), len(column) * float(self.floor[c]) * 1e-3)
-                gains.append(-float(np.sum(np.log(scaled))) - len(column) * float(np.log(left / base)))
-            best = int(np.argmax(gains))
-            found.append(len(self.reading) * WALKS[best - 1] if gains[best] > WALK_GAIN else 0.0)
-        return np.array(found)
-
-    @cached_property
-    def walk_covariance(self) -> FloatArray:
-        """Covariance (N, N) of a random walk of variance 1, from its mean."""
-        time = (self.time + 1.0) / 2.0
-        walk = np.minimum(time[:, None], time)
-        return np.asarray(walk - walk.mean(axis=0) - walk.mean(axis=1, keepdims=True) + walk.mean())
-
     def solved(self, place: IntArray, u_pose_rad: float, u_down_rad: float | None) -> OrientationFit:
         """Return the fit, the tilt of the world estimated with it."""
-        walk, tilt, problem = self.walks(), np.zeros(2), self
+        walk = find_walks(self.design, self.reading, walk_covariance(self.time), self.floor)
+        tilt, problem = np.zeros(2), self
         solution = _Solution.of(self, walk)
         down: FloatArray = np.zeros((2, 2))
         if self.series.tilt.any() and u_down_rad != 0.0:
@@ -338,57 +307,34 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Estimators (C, P, N), coefficients (P, C) and noise of a problem.
-
-    `roots` (N, N) of the covariance of each channel.
-    """
+    """A fit of a problem, with the noise (C, C) of a pose and its degrees of freedom."""
 
     problem: _Problem
-    walk: FloatArray
-    estimator: FloatArray
-    coefficient: FloatArray
-    whitened: FloatArray
-    roots: tuple[FloatArray, ...]
+    fit: SeriesFit
     noise: FloatArray
     dof: float
 
     @staticmethod
     def of(problem: _Problem, walk: FloatArray) -> _Solution:
-        from scipy.linalg import solve_triangular
         from scipy.special import fdtrc
 
-        count, design, by_walk = len(problem.reading), problem.design, dict[float, tuple[FloatArray, FloatArray]]()
-        for each in set(walk.tolist()):
-            root = np.linalg.cholesky(np.eye(count) + each * problem.walk_covariance)
-            white = solve_triangular(root, design, lower=True)
-            estimator = np.linalg.solve(white.T @ white, solve_triangular(root, white, lower=True, trans="T").T)
-            by_walk[each] = (root, estimator)
-        roots, estimators = zip(*(by_walk[each] for each in walk.tolist()), strict=True)
-        coefficient = np.stack([e @ y for e, y in zip(estimators, problem.reading.T, strict=True)], axis=1)
-        left = problem.reading - design @ coefficient
-        whitened = np.stack([solve_triangular(r, y, lower=True) for r, y in zip(roots, left.T, strict=True)], axis=1)
-        dof = float(count - design.shape[1])
-        noise = whitened.T @ whitened / dof
-        within, freedom = problem.within
+        fit = SeriesFit.of(problem.design, problem.reading, walk, walk_covariance(problem.time))
+        (noise, dof), (within, freedom) = (fit.noise, fit.dof), problem.within
         if freedom and not walk.any() and np.all(np.diag(within) > 0.0):
             chance = fdtrc(dof, freedom, np.diag(noise) / np.diag(within))
             if np.min(chance) > SAME_SCATTER / len(chance):
                 noise, dof = (dof * noise + freedom * within) / (dof + freedom), dof + freedom
         noise = noise + np.diag(np.maximum(0.0, problem.floor - np.diag(noise)))
-        return _Solution(problem, walk, np.stack(estimators), coefficient, whitened, roots, noise, dof)
+        return _Solution(problem, fit, noise, dof)
 
     @property
     def gradient(self) -> FloatArray:
         """Output (C, 3) per direction of gravity."""
-        return np.asarray(self.coefficient[: len(self.problem.basis)].T @ self.problem.basis)
+        return np.asarray(self.fit.coefficient[: len(self.problem.basis)].T @ self.problem.basis)
 
     def white_left(self, columns: FloatArray) -> FloatArray:
         """Return columns (N, C) of every channel less their fit, whitened, over the noise."""
-        from scipy.linalg import solve_triangular
-
-        left = [y - self.problem.design @ (e @ y) for e, y in zip(self.estimator, columns.T, strict=True)]
-        white = [solve_triangular(r, y, lower=True) for r, y in zip(self.roots, left, strict=True)]
-        return np.stack(white, axis=1) / np.sqrt(np.diag(self.noise))
+        return np.asarray(self.fit.left(columns) / np.sqrt(np.diag(self.noise)))
 
     def tilted(self) -> FloatArray:
         """Return the change (2, N, C) of the readings per tilt of the world."""
@@ -399,11 +345,11 @@ class _Solution:
         from scipy.special import fdtrc
 
         columns = np.stack([self.white_left(each).ravel() for each in self.tilted()], axis=1)
-        left = (self.whitened / np.sqrt(np.diag(self.noise))).ravel()
+        left = (self.fit.whitened / np.sqrt(np.diag(self.noise))).ravel()
         prior = np.eye(2) / (UNKNOWN_TILT_RAD if u_down_rad is None else u_down_rad) ** 2
         covariance = np.linalg.inv(columns.T @ columns + prior)
         step = covariance @ (columns.T @ left - prior @ tilt)
-        terms, count = self.coefficient.shape
+        terms, count = self.fit.coefficient.shape
         freedom = float(len(left) - terms * count - 2)
         if freedom < 1.0:
             return step, np.asarray(covariance, np.float64), False
@@ -416,10 +362,10 @@ class _Solution:
 
         With their variance (C,) in a reading.
         """
-        direction, terms = self.problem.series.direction, len(self.coefficient)
+        direction, terms = self.problem.series.direction, len(self.fit.coefficient)
         lever = u_pose_rad * np.cross(direction[None], self.gradient[:, None])
         effect = np.zeros((terms, len(self.problem.channels), place.max() + 1, 3))
-        each = np.einsum("ctn,cnx->ntcx", self.estimator, lever)
+        each = np.einsum("ctn,cnx->ntcx", self.fit.estimator, lever)
         np.add.at(effect.transpose(2, 0, 1, 3), place, each)
         wide = effect.reshape(terms * len(self.problem.channels), -1)
         return covariance_root(wide @ wide.T), np.mean(np.sum(lever**2, axis=2), axis=1)
@@ -429,20 +375,20 @@ class _Solution:
 
         By the difference between readings after a rise and after a fall.
         """
-        gravity = self.problem.design[:, : len(self.problem.basis)] @ self.coefficient[: len(self.problem.basis)]
+        gravity = self.problem.design[:, : len(self.problem.basis)] @ self.fit.coefficient[: len(self.problem.basis)]
         sense = 0.5 * np.vstack([np.zeros((1, gravity.shape[1])), np.sign(np.diff(gravity, axis=0))])
         columns = self.white_left(sense)
         size = np.sum(columns**2, axis=0)
         inverse = np.divide(LOOP_OF_STEPS**2, size, out=np.zeros(len(size)), where=size > 0.0)
-        found = np.sum(columns * self.whitened / np.sqrt(np.diag(self.noise)), axis=0)
+        found = np.sum(columns * self.fit.whitened / np.sqrt(np.diag(self.noise)), axis=0)
         return np.stack([found**2 * inverse / np.where(size > 0.0, size, 1.0), inverse])
 
     def result(self, place: IntArray, u_pose_rad: float, tilt: FloatArray, down: FloatArray) -> OrientationFit:
         """Return the fit with the effects of all causes on its terms."""
-        problem, terms = self.problem, len(self.coefficient)
+        problem, terms = self.problem, len(self.fit.coefficient)
         noise, effects = problem.rounding.without(self.noise), list[OutputEffect]()
         rounded = problem.rounding.effect(
-            self.estimator, problem.design, problem.reading, self.coefficient, self.noise, range(terms)
+            self.fit.estimator, problem.design, problem.reading, self.fit.coefficient, self.noise, range(terms)
         )
         effects.append(OutputEffect("rounding", rounded))
         if u_pose_rad > 0.0:
@@ -453,15 +399,13 @@ class _Solution:
             share = np.sqrt(np.maximum(1.0 - variance / size, least))
             noise = noise * np.outer(share, share)
         if down.any():
-            tilted = np.einsum("ctn,jnc->tcj", self.estimator, self.tilted()).reshape(-1, 2)
+            tilted = np.einsum("ctn,jnc->tcj", self.fit.estimator, self.tilted()).reshape(-1, 2)
             effects.append(OutputEffect("direction of down", tilted @ covariance_root(down)))
-        spread = np.stack([e @ root for e, root in zip(self.estimator, self.roots, strict=True)])
-        covariance = np.einsum("ctn,dun,cd->tcud", spread, spread, noise)
+        covariance = coefficient_covariance(self.fit.spread, noise)
         gravity = (f"gravity {k}" for k in range(1, 1 + len(problem.basis)))
         names = (*gravity, "constant", *(["drift"] if problem.drift else []))
-        count = terms * len(problem.channels)
         return OrientationFit(
             problem.channels, problem.series.direction, problem.reading, problem.series.time, problem.count, names,
-            problem.design, self.coefficient, problem.basis, covariance.reshape(count, count), self.noise, self.dof,
-            tuple(effects), tilt, np.sqrt(np.diag(down)), self.walk, self.loop(),
+            problem.design, self.fit.coefficient, problem.basis, covariance, self.noise, self.dof,
+            tuple(effects), tilt, np.sqrt(np.diag(down)), self.fit.walk, self.loop(),
         )  # fmt: skip

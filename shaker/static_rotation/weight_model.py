@@ -21,7 +21,9 @@ MIN_FORCE_SHARE = 0.3
 DETERMINED = 1e-6  # tolerance of the unit matrix
 TILT_RAD = 0.1  # standard deviation of the prior of a tilt without a statement
 LOOP_SHOWN = 2.5
-"""Square of a loop over its variance from which it is hysteresis: 3 outputs without any exceed it once in 17."""
+"""Square of a loop over its variance from which it is in U: two outputs without any exceed it once in 17."""
+LOOP_CERTAIN = 8.0
+"""That from which it is reported."""
 USUAL_LEVER_M = 0.1
 """Lever at which forces and moments have equal weight in the classification of outputs."""
 
@@ -108,12 +110,12 @@ class RotationRecord(Arrays, shapes="response K C; direction K 3; axis 3; down 3
         along = along / np.linalg.norm(along)
         return along, np.cross(self.axis, along)
 
-    def loop_share(self, outputs: BoolArray) -> float:
+    def loop_share(self, outputs: BoolArray, shown: float = LOOP_SHOWN) -> float:
         """Return the loop over the output, of some outputs together, 0 within noise."""
         square, variance, size = self.loop[0, outputs], self.loop[1, outputs], np.sum(self.response**2, axis=0)[outputs]
         weight = np.divide(size, variance, out=np.zeros(len(size)), where=variance > 0.0)
         ratio = np.divide(square, variance, out=np.zeros(len(size)), where=variance > 0.0)
-        if not weight.any() or weight @ ratio < LOOP_SHOWN * weight.sum():
+        if not weight.any() or weight @ ratio < shown * weight.sum():
             return 0.0
         share = np.divide(square - variance, size, out=np.zeros(len(size)), where=weight > 0.0)
         return float(np.sqrt(max(weight**2 @ share / np.sum(weight**2), 0.0)))

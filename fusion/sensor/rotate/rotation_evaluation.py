@@ -49,6 +49,7 @@ from shaker.static_rotation.masses import (
 )
 from shaker.static_rotation.weight_model import (
     FORCES,
+    LOOP_CERTAIN,
     UNKNOWNS_PER_RECORD,
     RotationRecord,
     SensorOutputs,
@@ -202,7 +203,7 @@ def _hysteresis_notices(
         return
     for record in records:
         for name, kind in (("forces", outputs.forces), ("moments", ~outputs.forces)):
-            share = 100.0 * record.loop_share(kind)
+            share = 100.0 * record.loop_share(kind, LOOP_CERTAIN)
             if share > 0.0:
                 yield Notice(declared.HYSTERESIS_FOUND, record.name, loop_percent=share, outputs=name)
 

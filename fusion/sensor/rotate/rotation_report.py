@@ -88,10 +88,10 @@ def _term_name(name: str) -> str:
 
 def _further_terms(recording: RotationRecording) -> str:
     """Return the names of the terms in addition to offset and gravity."""
-    if isinstance(recording.fit, OrientationFit):
-        walk = ["random walk"] if recording.fit.walk.any() else []
-        return ", ".join([*recording.fit.terms[recording.fit.axes + 1 :], *walk])
-    return ", ".join(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
+    fit = recording.fit
+    always = fit.axes + 1 if isinstance(fit, OrientationFit) else 3
+    walk = ["random walk"] if fit.walk.any() else []
+    return ", ".join(dict.fromkeys([*(_term_name(name) for name in fit.terms[always:]), *walk]))
 
 
 def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
@@ -102,8 +102,8 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
         return
     for i in recording.determined:
         row = recording.inverse[i]
-        coefficient, noise = fit.coefficient @ row, float(row @ fit.noise @ row)
-        u = np.sqrt(noise * np.diag(fit.inverse))
+        coefficient, covariance = fit.coefficient @ row, fit.combined(row)
+        u = np.sqrt(np.diag(covariance))
         for index, name in enumerate(fit.terms):
             value, spread = float(coefficient[index]), float(u[index])
             if name.startswith("sin "):
@@ -112,7 +112,7 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
                 pair = coefficient[index : index + 2]
                 value = float(np.hypot(*pair))
                 along = pair / value if value > 0.0 else np.array([1.0, 0.0])
-                spread = float(np.sqrt(noise * along @ fit.inverse[index : index + 2, index : index + 2] @ along))
+                spread = float(np.sqrt(along @ covariance[index : index + 2, index : index + 2] @ along))
             label = _term_name(name)
             head = (LOAD_UNITS[i], label.replace(" ", "_"), label, LOAD_COMPONENTS[i], recording.name)
             yield RotationQuantity(value, spread, fit.dof, *head, {})
@@ -472,7 +472,7 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         write_value(item, "unit", recording.unit)
         write_value(item, "load", recording.load)
         for name in vars(recording.fit):
-            if name not in ("rounding", "effects"):
+            if name not in ("rounding", "effects", "estimator", "spread"):
                 write_value(item, name, getattr(recording.fit, name))
     weights, group = evaluation.weights, file.create_group("weights", track_order=True)
     for name in ("names", "value", "covariance", "load", "chi_squared", "dof", "departure", "moment_departure"):
