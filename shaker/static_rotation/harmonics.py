@@ -284,10 +284,12 @@ def fit_angles(
     floor, names = rounding.variance + computed, [name for name, _ in terms]
     slow = [column for block in blocks for name, column in block if name.startswith(("drift", "sense"))]
     walks = find_walks(np.column_stack([design, *slow]), values, _walk(len(angle)), floor)
-    candidates = [_selected(names, design, blocks, values, repeats * floor, each) for each in (0.0 * walks, walks)]
-    names, fit = candidates[0]
-    if walks.any() and candidates[1][1].criterion(floor) < fit.criterion(floor) - STRONG:
-        names, fit = candidates[1]
+    start = names, design, blocks, values, repeats * floor
+    names, fit = _selected(*start, 0.0 * walks)
+    if walks.any():
+        other_names, other = _selected(*start, walks)
+        if other.criterion(floor) < fit.criterion(floor) - STRONG:
+            names, fit = other_names, other
     noise = fit.noise + np.diag(np.maximum(0.0, floor - np.diag(fit.noise)))
     return AngleFit(
         channels, angle, values, tuple(names), fit.design, fit.coefficient, fit.estimator, fit.spread, noise, fit.dof,

@@ -112,7 +112,7 @@ class SeriesFit:
         likelihood = count * float(np.sum(np.log(np.maximum(variance, np.finfo(np.float64).tiny))))
         likelihood += 2.0 * sum(float(np.sum(np.log(np.diag(root)))) for root in self.roots)
         parameters = self.design.shape[1] * channels + int(np.sum(self.walk > 0.0))
-        return likelihood + parameters * float(np.log(count))
+        return float(likelihood + parameters * np.log(count))
 
 
 def coefficient_covariance(spread: FloatArray, noise: FloatArray) -> FloatArray:
