@@ -167,7 +167,7 @@ def _readings(rig: RotationRig, name: str, draws: Draws) -> str:
 
 
 def _pose_readings(rig: RotationRig, name: str, draws: Draws) -> str:
-    """Return CSV text of poses: every axis down and up, then any, every output in mV/V."""
+    """Return CSV text of poses: every axis down and up, then any; mV/V."""
     rng = np.random.default_rng(POSE_SEED)
     quaternion = np.vstack([AXES_DOWN, rng.standard_normal((FURTHER_POSES, 4))])
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
@@ -179,7 +179,7 @@ def _pose_readings(rig: RotationRig, name: str, draws: Draws) -> str:
 
 
 def _table(head: str, cells: list[str], outputs: FloatArray, rig: RotationRig, name: str, draws: Draws) -> str:
-    """Return CSV text of outputs (N, 6) with noise, offset and the resolution of the display."""
+    """Return CSV text of outputs (N, 6) with noise, offset and resolution."""
     offset = 200.0 * rig.resolution * draws.stream(f"{name}.offset").standard_normal(6)
     noise = np.array(rig.noise) * draws.stream(f"{name}.noise").standard_normal(outputs.shape)
     shown = np.round((outputs + offset + noise) / rig.resolution) * rig.resolution * 1e3

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shaker.static_rotation.rounding import Rounding, last_digit
-from shaker.static_rotation.series_noise import SeriesFit, coefficient_covariance, find_walks, walk_covariance
+from shaker.static_rotation.series_noise import DriftingFit, coefficient_covariance, find_walks, walk_covariance
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
@@ -143,7 +143,7 @@ HIGHEST_ORDER = 8  # of a harmonic
 MIN_DOF = 3  # of a fit with an additional term
 LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
 SAME_ANGLE_RAD = 1e-3  # about 0.06°
-STRONG = 10.0  # difference of the information criterion: very strong evidence (Kass and Raftery 1995)
+STRONG = 2.0  # difference of the information criterion: positive evidence (Kass and Raftery 1995)
 PRECISION = 1e-12  # relative, of computed numbers
 Term = tuple[str, FloatArray]
 
@@ -207,7 +207,7 @@ class AngleFit(
         return coefficient_covariance(signed, self.rounding.without(self.noise))
 
     def combined(self, row: FloatArray) -> FloatArray:
-        """Return the covariance (P, P) of the coefficients of the sum of channels with factors (C,)."""
+        """Return the covariance (P, P) of coefficients of channels summed with factors (C,)."""
         terms = len(self.terms)
         whole = coefficient_covariance(self.spread, self.noise).reshape(terms, len(row), terms, len(row))
         return np.asarray(np.einsum("c,pcqd,d->pq", row, whole, row))
@@ -231,7 +231,7 @@ class AngleFit(
         design = np.column_stack([design, *(0.5 * sense * _periodic(name, self.angle_rad) for name in names[:3])])
         if len(design) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
             return none
-        fit = SeriesFit.of(design, self.reading, self.walk, _walk(len(design)))
+        fit = DriftingFit.of(design, self.reading, self.walk, _walk(len(design)))
         variance = np.sum(fit.spread[:, -2:] ** 2, axis=(1, 2)) * np.diag(self.noise)
         return np.stack([np.sum(fit.coefficient[-2:] ** 2, axis=0), variance])
 
@@ -309,15 +309,15 @@ def _selected(
     values: FloatArray,
     floor: FloatArray,
     walk: FloatArray,
-) -> tuple[list[str], SeriesFit]:
+) -> tuple[list[str], DriftingFit]:
     """Return names and fit of the terms that enter with given random walks (C,)."""
     names, blocks = list(names), list(blocks)
-    fit = SeriesFit.of(design, values, walk, _walk(len(values)))
+    fit = DriftingFit.of(design, values, walk, _walk(len(values)))
     while (entering := _clearest(fit, blocks, values, floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
         design = np.column_stack([fit.design, *(column for _, column in block)])
-        fit = SeriesFit.of(design, values, walk, _walk(len(values)))
+        fit = DriftingFit.of(design, values, walk, _walk(len(values)))
     return names, fit
 
 
@@ -362,7 +362,7 @@ def _distinct(angle: FloatArray) -> FloatArray:
     return np.asarray(distinct[:-1] if wraps else distinct)
 
 
-def _clearest(fit: SeriesFit, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
+def _clearest(fit: DriftingFit, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
     """Return the index of the most significant block, None without one."""
     least = CHANCE / max(1, len(floor))
     chances = np.ones(len(blocks))
@@ -379,7 +379,10 @@ def _clearest(fit: SeriesFit, blocks: list[list[Term]], values: FloatArray, floo
 
 
 def _chances(design: FloatArray, blocks: list[FloatArray], values: FloatArray, floor: FloatArray) -> FloatArray:
-    """Return the least chance of each block (N, B) by F tests of every channel, 1 where it is not separate."""
+    """Return the least chance of each block (N, B) by F tests of every channel.
+
+    It is 1 of a block that is not separate from the design.
+    """
     from scipy.special import fdtrc
 
     basis = np.linalg.qr(design)[0]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from shaker.static_rotation.rounding import Rounding, last_digit
-from shaker.static_rotation.series_noise import SeriesFit, coefficient_covariance, find_walks, walk_covariance
+from shaker.static_rotation.series_noise import DriftingFit, coefficient_covariance, find_walks, walk_covariance
 from shaker.static_rotation.weight_model import OutputEffect
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 from shakercal._common.propagation import covariance_root
@@ -307,10 +307,10 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Solution:
-    """A fit of a problem, with the noise (C, C) of a pose and its degrees of freedom."""
+    """A fit of a problem; `noise` (C, C) of a pose with `dof` degrees of freedom."""
 
     problem: _Problem
-    fit: SeriesFit
+    fit: DriftingFit
     noise: FloatArray
     dof: float
 
@@ -318,7 +318,7 @@ class _Solution:
     def of(problem: _Problem, walk: FloatArray) -> _Solution:
         from scipy.special import fdtrc
 
-        fit = SeriesFit.of(problem.design, problem.reading, walk, walk_covariance(problem.time))
+        fit = DriftingFit.of(problem.design, problem.reading, walk, walk_covariance(problem.time))
         (noise, dof), (within, freedom) = (fit.noise, fit.dof), problem.within
         if freedom and not walk.any() and np.all(np.diag(within) > 0.0):
             chance = fdtrc(dof, freedom, np.diag(noise) / np.diag(within))

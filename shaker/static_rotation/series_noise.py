@@ -11,6 +11,7 @@ from shakercal._common.arrays import FloatArray
 MIN_WALK_READINGS = 12  # from which a random walk is looked at
 WALK_GAIN = 5.41
 """Twice the gain in log likelihood of a random walk: 1 % of series without any exceed it (Self and Liang 1987)."""
+WALK_GAIN_OF_SEVERAL = 1.0  # that of a channel where all channels together exceed the limit
 WALKS = np.geomspace(1e-2, 4.0, 20)
 """Variance of a step of a random walk over that of the noise: larger ones leave the noise undetermined."""
 LEAST_NOISE = 1e-3  # share of the variance of rounding that noise may have next to a random walk
@@ -36,20 +37,19 @@ def find_walks(design: FloatArray, reading: FloatArray, covariance: FloatArray, 
         return np.zeros(reading.shape[1])
     outside = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     size, axes = np.linalg.eigh(outside.T @ covariance @ outside)
-    squares, found = (axes.T @ outside.T @ reading) ** 2, []
-    for column, least in zip(squares.T, len(squares) * floor, strict=True):
-        base, gains = max(float(column.sum()), float(least)), [0.0]
-        for walk in count * WALKS:
-            scaled = 1.0 + walk * size
-            left = max(float(np.sum(column / scaled)), LEAST_NOISE * float(least))
-            gains.append(-float(np.sum(np.log(scaled))) - len(column) * float(np.log(left / base)) if base else 0.0)
-        best = int(np.argmax(gains))
-        found.append(count * WALKS[best - 1] if gains[best] > WALK_GAIN else 0.0)
-    return np.array(found)
+    squares, least = (axes.T @ outside.T @ reading) ** 2, len(size) * floor
+    scaled = 1.0 + count * WALKS[:, None] * size
+    base = np.maximum(squares.sum(axis=0), least)
+    left = np.maximum((1.0 / scaled) @ squares, LEAST_NOISE * least)
+    ratio = np.divide(left, base, out=np.ones_like(left), where=base > 0.0)
+    gains = -np.sum(np.log(scaled), axis=1)[:, None] * (base > 0.0) - len(size) * np.log(ratio)
+    together = WALK_GAIN if gains.sum(axis=1).max() < WALK_GAIN else WALK_GAIN_OF_SEVERAL
+    best = np.argmax(gains, axis=0)
+    return np.where(gains.max(axis=0) > together, count * WALKS[best], 0.0)
 
 
 @dataclass(frozen=True)
-class SeriesFit:
+class DriftingFit:
     """Coefficients (P, C) of a design (N, P) fitted to readings (N, C).
 
     `walk` (C,): variance of a random walk over that of the noise. `roots`: of the covariance (N, N) of each channel
@@ -66,7 +66,7 @@ class SeriesFit:
     whitened: FloatArray
 
     @classmethod
-    def of(cls, design: FloatArray, reading: FloatArray, walk: FloatArray, covariance: FloatArray) -> SeriesFit:
+    def of(cls, design: FloatArray, reading: FloatArray, walk: FloatArray, covariance: FloatArray) -> DriftingFit:
         """Return the generalised least-squares fit; `covariance` (N, N): of a random walk of variance 1."""
         from scipy.linalg import solve_triangular
 
@@ -116,7 +116,10 @@ class SeriesFit:
 
 
 def coefficient_covariance(spread: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the covariance (P·C, P·C) of coefficients by their spread (C, P, N) and the noise (C, C)."""
+    """Return the covariance (P·C, P·C) of coefficients by their spread and noise.
+
+    `spread` (C, P, N), `noise` (C, C).
+    """
     channels, terms, _ = spread.shape
     products = np.einsum("ctn,dun->tcud", spread, spread) * noise[None, :, None, :]
     return np.asarray(products.reshape(terms * channels, terms * channels))
