@@ -307,7 +307,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Solution:
-    """A fit of a problem; `noise` (C, C) of a pose with `dof` degrees of freedom."""
+    """A fit of a problem, with the covariance (C, C) of the noise of a pose."""
 
     problem: _Problem
     fit: DriftingFit
