@@ -307,7 +307,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Solution:
-    """A fit of a problem, with the covariance (C, C) of the noise of a pose."""
+    """A fit of a problem, with the covariance (C, C) of its noise."""
 
     problem: _Problem
     fit: DriftingFit
