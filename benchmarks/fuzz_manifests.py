@@ -225,6 +225,7 @@ KINDS = (
     Kind("chain", "chirp", "chirp/amplifier.toml", MeasuringChainFile, ("transfer", "chirp"), "chirp"),
     Kind("rotation", "rotation", "with-load/recording.toml", RecordingFile, ("rotate", "."), "with-load"),
     Kind("rotation rig", "rotation", "rig.toml", Rig, ("rotate", "."), "with-load"),
+    Kind("orientations", "orientations", "with-load/recording.toml", RecordingFile, ("rotate", "."), "with-load"),
     Kind("step", "steps", f"{RELEASE}/recording.toml", RecordingFile, ("step", RELEASE), RELEASE),
     Kind("step rig", "steps", "rig.toml", Rig, ("step", RELEASE), RELEASE),
     Kind("loads", "loads", "step-048g/recording.toml", RecordingFile, ("load", "."), "."),

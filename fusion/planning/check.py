@@ -225,9 +225,9 @@ def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notic
 
         notices += read_recording(manifest)[1]
     else:
-        from fusion.sensor.rotate.rotation_readings import read_rotation
+        from fusion.sensor.rotate.rotation_readings import read_rotations
 
-        read_rotation(manifest)
+        read_rotations([manifest])
     return notices
 
 

@@ -25,6 +25,7 @@ from fusion.recording.values import (
     Direction,
     ExistingFile,
     ManifestBlock,
+    Matrix3,
     Number,
     Positive,
     Share,
@@ -34,6 +35,7 @@ from fusion.recording.values import (
     refusal,
     refuse_foreign,
     refuse_missing,
+    rotation,
     size_range,
     unit_vector,
     vector,
@@ -43,6 +45,13 @@ MOST_FREQUENCIES = 2000
 HIGHEST_HARMONIC = 1000
 LASTING = size_range(0.0, 1e6, "s")
 FORCE = size_range(0.0, 1e9, "N or N m")
+EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+HEAD = ("angle_unit", "axis", "zero_gravity")
+"""Keys of a rotation on an indexing head."""
+POSED = (
+    "orientation_uncertainty", "down", "down_uncertainty", "sensor_in_flange", "sensor_in_flange_uncertainty",
+)  # fmt: skip
+"""Keys of a rotation in any orientations."""
 Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotation"]
 
 
@@ -94,6 +103,11 @@ def _band(value: object) -> tuple[float, ...]:
     return low, high
 
 
+def _mounted(value: object) -> Any:
+    """Return the word fit, or a rotation matrix."""
+    return value if value == "fit" else rotation(value)
+
+
 class ExcitationEntry(ManifestBlock):
     """The excitation: kind, direction in sensor axes, further keys of the kind."""
 
@@ -118,6 +132,13 @@ class ExcitationEntry(ManifestBlock):
     zero_gravity: Direction | None = None
     with_load: bool | None = None
     angle_uncertainty: Angle = 0.0
+    axis_uncertainty: Angle | None = None
+    orientation: Literal["sensor_in_world", "world_in_sensor", "gravity_in_sensor"] | None = None
+    orientation_uncertainty: Angle = 0.0
+    down: Direction = (0.0, 0.0, -1.0)
+    down_uncertainty: Angle | None = None
+    sensor_in_flange: Annotated[Matrix3 | Literal["fit"], BeforeValidator(_mounted)] = EYE
+    sensor_in_flange_uncertainty: Angle | None = None
     scale: Number = 1.0
 
     @model_validator(mode="after")
@@ -125,6 +146,8 @@ class ExcitationEntry(ManifestBlock):
         kind, why = KINDS[self.kind], f'kind = "{self.kind}"'
         refuse_missing(self, kind.required, why)
         refuse_foreign(self, {"kind", *kind.required, *kind.allowed}, why)
+        if self.kind == "rotation":
+            self._keys_of_the_rotation()
         if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
             raise refusal(
                 'frequencies, or band and period, for kind = "multisine"',
@@ -136,6 +159,19 @@ class ExcitationEntry(ManifestBlock):
             if getattr(self, key) == 0.0:
                 raise refusal(f"{what} other than 0", "0", key=key, declared=VALUE_OUT_OF_RANGE)
         return self
+
+    def _keys_of_the_rotation(self) -> None:
+        """Refuse keys of an indexing head for other orientations, and the reverse."""
+        always = {"kind", "file", "with_load", "scale", "angle_unit"}
+        if self.orientation is None:
+            why = 'kind = "rotation" without orientation'
+            refuse_missing(self, HEAD, why)
+            refuse_foreign(self, {*always, *HEAD, "angle_uncertainty", "axis_uncertainty"}, why)
+            return
+        posed = {*always, "orientation", *POSED}
+        if self.orientation == "gravity_in_sensor":
+            posed -= {"down", "down_uncertainty"}
+        refuse_foreign(self, posed, f'orientation = "{self.orientation}"')
 
     @property
     def slowest_hz(self) -> float | None:
@@ -227,8 +263,8 @@ KINDS = {
     ),
     "rotation": ExcitationKind(
         commands=("rotate",),
-        required=("file", "angle_unit", "axis", "zero_gravity", "with_load"),
-        allowed=("angle_uncertainty", "scale"),
+        required=("file", "with_load"),
+        allowed=(*HEAD, "angle_uncertainty", "axis_uncertainty", "scale", "orientation", *POSED),
         command_note=", by gravity alone",
         readings_in_table=True,
     ),

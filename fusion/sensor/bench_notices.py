@@ -146,9 +146,9 @@ AXIS_TILT = DeclaredNotice(
 WEIGHT_NOT_EXPLAINED = DeclaredNotice(
     "SC-638",
     "warning",
-    "A weight rotating about the axis does not explain all channels within noise and stated calibration.",
-    effect="Every first harmonic has an additional uncertainty of {departure_percent:.2g} % of the weight, which "
-    "covers the disagreement.",
+    "A weight does not explain all channels within noise and stated calibration.",
+    effect="Forces have an additional uncertainty of {departure_percent:.2g} % of the weight, moments one of "
+    "{moment_percent:.2g} % of the weight at 0.1 m, which cover the disagreement.",
     remedy="Check the calibration matrix and the mounting.",
     link="rotation.md",
 )
@@ -160,6 +160,77 @@ LOAD_MASS_DEVIATES = DeclaredNotice(
     remedy="Weigh the load again, and check the calibration matrix.",
     link="rotation.md",
     acknowledgeable=False,
+)
+
+
+AXIS_INCLINATION_NOT_STATED = DeclaredNotice(
+    "SC-911",
+    "note",
+    "The inclination of the axis from the horizontal is not stated.",
+    effect="An inclined axis lowers every mass by half its square, which the readings do not show.",
+    remedy="Measure the inclination and state it as `axis_uncertainty`.",
+    link="rotation.md",
+    possible_size="0.015 % of every mass for 1°",
+)
+ONE_SENSE_OF_ROTATION = DeclaredNotice(
+    "SC-912",
+    "note",
+    "The readings were taken in one sense of rotation.",
+    effect="Hysteresis is not determined and not included in U.",
+    remedy="Read the same angles on the way back.",
+    link="rotation.md",
+    possible_size="the hysteresis of the sensor, relative to every mass",
+)
+HYSTERESIS_FOUND = DeclaredNotice(
+    "SC-913",
+    "warning",
+    "Readings after a rise and after a fall of the load differ by {loop_percent:.2g} % of it ({outputs}).",
+    effect="Their mean is taken to deviate by up to this difference. A calibration over a much larger range may "
+    "deviate by more.",
+    remedy="Calibrate the sensor over the range of this test, or compare the load mass with the weighed mass.",
+    link="rotation.md",
+)
+GRAVITY_IN_A_PLANE = DeclaredNotice(
+    "SC-914",
+    "warning",
+    "Gravity does not vary along the direction ({normal}) of the sensor.",
+    effect="Outputs along it are undetermined. The offsets along it follow from the calibration matrix.",
+    remedy="Add poses with {pose} of the sensor down and up.",
+    link="rotation.md",
+)
+POSES_NEARLY_DEPENDENT = DeclaredNotice(
+    "SC-915",
+    "note",
+    "The poses separate offset and gravity with a condition number of {condition:.1f} (1.7: best).",
+    effect="U of the offsets and of the matrix is larger than necessary.",
+    remedy="Add a pose with {pose} of the sensor down.",
+    link="rotation.md",
+)
+WORLD_TILTED = DeclaredNotice(
+    "SC-916",
+    "note",
+    "Down in the world deviates by ({tilt_deg:.2f} ± {expanded_deg:.2f})° from its stated direction (k = 2).",
+    effect="The deviation is estimated and corrected.",
+    remedy="Level the base, or correct `down`.",
+    link="rotation.md",
+)
+AXES_ROTATED = DeclaredNotice(
+    "SC-917",
+    "note",
+    "The forces are rotated by {rotation_deg:.2f}° against the stated axes of the sensor.",
+    effect="The rotation is estimated and corrected for masses and centres. The force part of the matrix includes it "
+    "as uncertainty; cross-talk of the sensor has the same effect.",
+    remedy="Check `sensor_in_flange`.",
+    link="rotation.md",
+)
+POSES_TAKEN_AS_INDEPENDENT = DeclaredNotice(
+    "SC-918",
+    "note",
+    "The uncertainty of the orientations is not stated.",
+    effect="Errors of single poses are part of the scatter; an error that neighbouring poses share is not in U.",
+    remedy="State `orientation_uncertainty`.",
+    link="rotation.md",
+    possible_size="1 mrad moves the centre of mass by about 0.1 % of its distance",
 )
 
 

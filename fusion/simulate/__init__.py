@@ -14,7 +14,8 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
-PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "steps", "loads", "elastomer")
+GRAVITY_TESTS = ("rotation", "orientations")
+PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
 
 
 def simulate(
@@ -100,8 +101,10 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
 
         if preset == "targets":
             write_session(folder, seed, progress)
+        elif preset in GRAVITY_TESTS:
+            write_rotation(folder, seed, posed=preset == "orientations")
         else:
-            (write_rotation if preset == "rotation" else write_element)(folder, seed)
+            write_element(folder, seed)
 
 
 def _check_out(out: Path) -> None:

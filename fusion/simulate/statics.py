@@ -1,6 +1,7 @@
 """Simulations without time series: a rotation test, images of a target, an elastic element.
 
-`rotation`: a sensor on an indexing head, read over a turn and back, without and with its load. `targets`: a calibration
+`rotation`: a sensor on an indexing head, read over a turn and back, without and with its load. `orientations`: the same
+sensor on a robot, in poses of the flange. `targets`: a calibration
 session with images from both cameras of a stereo pair, and the true pair. `elastomer`: the drawing of a cross-beam
 element, and the sensor made of it, whose dimensions deviate within their tolerances.
 """
@@ -38,6 +39,9 @@ TABLE_FILE = "readings.csv"
 BARE, LOADED = "without-load", "with-load"
 SIDES = ("left", "right")
 GEOMETRY_FILE = "elastomer.toml"
+AXES_DOWN = np.array([[0, 0, 0, 1], [1, 0, 0, 0], [1, 0, 0, 1], [-1, 0, 0, 1], [0, 1, 0, 1], [0, -1, 0, 1]], np.float64)
+"""Quaternions of poses with every axis of the sensor down and up, of any length."""
+FURTHER_POSES, POSE_SEED = 14, 11  # beyond those, in any orientation
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -65,17 +69,19 @@ class RotationRig:
     temperature_c: float
 
 
-def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> tuple[Path, Path]:
+def write_rotation(
+    folder: Path, seed: int, rig: RotationRig | None = None, *, posed: bool = False
+) -> tuple[Path, Path]:
     """Write `rig.toml` and the recordings without and with load, and return their folders.
 
     All stated uncertainties are sampled, including gravity and air density. Hysteresis shifts the first harmonic by an
-    angle whose sign depends on the sense of rotation.
+    angle whose sign depends on the sense of rotation. `posed`: by a robot, without hysteresis, instead of on a head.
     """
     rig = rig or read_preset(RotationRig, "rotation")
     draws = Draws(seed, True)
     tables = {
         "format": 1,
-        "name": "six-component sensor on an indexing head, simulated",
+        "name": f"six-component sensor on {'a robot' if posed else 'an indexing head'}, simulated",
         "sensor": {
             "name": "six-component sensor",
             "channels": list(LOAD_COMPONENTS),
@@ -96,6 +102,13 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
         "environment": {"latitude": rig.latitude_deg, "height": rig.height_m, "temperature": rig.temperature_c},
     }
     write_files(folder, {RIG_FILE: to_toml(tables)})
+    head = {
+        "angle_unit": "deg",
+        "angle_uncertainty": rig.u_angle_rad,
+        "axis": [0.0, 0.0, 1.0],
+        "zero_gravity": [0.0, -1.0, 0.0],
+    }
+    robot = {"orientation": "sensor_in_world", "orientation_uncertainty": rig.u_angle_rad}
     for name in (BARE, LOADED):
         manifest = {
             "format": 1,
@@ -104,31 +117,33 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
             "excitation": {
                 "kind": "rotation",
                 "file": TABLE_FILE,
-                "angle_unit": "deg",
-                "angle_uncertainty": rig.u_angle_rad,
-                "axis": [0.0, 0.0, 1.0],
-                "zero_gravity": [0.0, -1.0, 0.0],
+                **(robot if posed else head),
                 "with_load": name == LOADED,
             },
         }
-        table = _readings(rig, name, draws)
+        table = (_pose_readings if posed else _readings)(rig, name, draws)
         write_recording(folder / name, manifest, _rotation_truth(rig, name, draws), texts={TABLE_FILE: table})
     return folder / BARE, folder / LOADED
 
 
 def true_outputs(rig: RotationRig, name: str, angle_rad: FloatArray, sense: FloatArray, draws: Draws) -> FloatArray:
     """Return outputs (N, 6) without noise at angles (N,) with senses (N,)."""
+    twice = draws.normal("head.twice per turn", rig.u_angle_rad, 2)
+    true = angle_rad + rig.zero_rad + twice[0] * np.sin(2.0 * angle_rad) + twice[1] * np.cos(2.0 * angle_rad)
+    true = true - rig.hysteresis * sense
+    tilt = rotation_from_vector(np.append(draws.normal(f"{name}.tilt", rig.u_tilt_rad, 2), 0.0))
+    down = np.stack([-np.sin(true), -np.cos(true), np.zeros_like(true)], axis=1) @ tilt.T
+    return _outputs_along(rig, name, down, draws)
+
+
+def _outputs_along(rig: RotationRig, name: str, down: FloatArray, draws: Draws) -> FloatArray:
+    """Return outputs (N, 6) without noise for directions (N, 3) of gravity."""
     gravity, air = (float(stated.value + draws.normal(key, stated.u)) for stated, key in _surroundings(rig))
     shares = {BARE: [(rig.internal_mass_kg, 1.0 / 5000.0, np.array(rig.internal_centre_m))]}
     mass = rig.load_mass_kg + float(draws.normal("load.mass", rig.u_load_mass_kg))
     centre = np.array(rig.load_centre_m) + draws.normal("load.centre", rig.u_load_centre_m, 3)
     shares[LOADED] = [*shares[BARE], (mass, 1.0 / rig.load_density_kgm3, centre)]
     weights = [(m * gravity * (1.0 - air * volume), c) for m, volume, c in shares[name]]
-    twice = draws.normal("head.twice per turn", rig.u_angle_rad, 2)
-    true = angle_rad + rig.zero_rad + twice[0] * np.sin(2.0 * angle_rad) + twice[1] * np.cos(2.0 * angle_rad)
-    true = true - rig.hysteresis * sense
-    tilt = rotation_from_vector(np.append(draws.normal(f"{name}.tilt", rig.u_tilt_rad, 2), 0.0))
-    down = np.stack([-np.sin(true), -np.cos(true), np.zeros_like(true)], axis=1) @ tilt.T
     force = sum(weight for weight, _ in weights) * down
     moment = np.cross(sum((weight * c for weight, c in weights), np.zeros(3)), down)
     errors = draws.normal("sensor.sensitivity", rig.u_sensitivity, 6)
@@ -142,21 +157,34 @@ def _surroundings(rig: RotationRig) -> list[tuple[Any, str]]:
 
 
 def _readings(rig: RotationRig, name: str, draws: Draws) -> str:
-    """Return CSV text: a turn forward and back, every output in mV/V.
-
-    Noise, offset and the resolution of the display are included.
-    """
+    """Return CSV text: a turn forward and back, every output in mV/V."""
     steps = round(2.0 * np.pi / rig.step_rad)
     forward = np.arange(steps + 1) * rig.step_rad
     angle = np.concatenate([forward, forward[::-1]])
     sense = np.repeat([1.0, -1.0], steps + 1)
     outputs = true_outputs(rig, name, angle, sense, draws)
+    return _table("angle [deg]", [f"{np.degrees(a):g}" for a in angle], outputs, rig, name, draws)
+
+
+def _pose_readings(rig: RotationRig, name: str, draws: Draws) -> str:
+    """Return CSV text of poses: every axis down and up, then any; mV/V."""
+    rng = np.random.default_rng(POSE_SEED)
+    quaternion = np.vstack([AXES_DOWN, rng.standard_normal((FURTHER_POSES, 4))])
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    x, y, z, w = quaternion.T
+    down = -np.stack([2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+    down = down + np.cross(draws.normal(f"{name}.poses", rig.u_angle_rad, down.size).reshape(down.shape), down)
+    cells = [",".join(f"{number:.9f}" for number in row) for row in quaternion]
+    return _table("qx,qy,qz,qw", cells, _outputs_along(rig, name, down, draws), rig, name, draws)
+
+
+def _table(head: str, cells: list[str], outputs: FloatArray, rig: RotationRig, name: str, draws: Draws) -> str:
+    """Return CSV text of outputs (N, 6) with noise, offset and resolution."""
     offset = 200.0 * rig.resolution * draws.stream(f"{name}.offset").standard_normal(6)
     noise = np.array(rig.noise) * draws.stream(f"{name}.noise").standard_normal(outputs.shape)
     shown = np.round((outputs + offset + noise) / rig.resolution) * rig.resolution * 1e3
-    head = "angle [deg]," + ",".join(f"{component} [mV/V]" for component in LOAD_COMPONENTS)
-    rows = [f"{np.degrees(a):g}," + ",".join(f"{v:.6f}" for v in row) for a, row in zip(angle, shown, strict=True)]
-    return "\n".join([head, *rows]) + "\n"
+    rows = [cell + "," + ",".join(f"{v:.6f}" for v in row) for cell, row in zip(cells, shown, strict=True)]
+    return "\n".join([f"{head}," + ",".join(f"{c} [mV/V]" for c in LOAD_COMPONENTS), *rows]) + "\n"
 
 
 def _rotation_truth(rig: RotationRig, name: str, draws: Draws) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from shaker.static_rotation.rounding import Rounding, last_digit
+from shaker.static_rotation.series_noise import DriftingFit, coefficient_covariance, find_walks, walk_covariance
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
@@ -141,8 +143,9 @@ HIGHEST_ORDER = 8  # of a harmonic
 MIN_DOF = 3  # of a fit with an additional term
 LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
 SAME_ANGLE_RAD = 1e-3  # about 0.06°
-ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
-"""Relative precision of computed numbers, that of the finest display, and the tolerance of a whole number."""
+STRONG = 2.0  # difference of the information criterion: positive evidence (Kass and Raftery 1995)
+PRECISION = 1e-12  # relative, of computed numbers
+Term = tuple[str, FloatArray]
 
 
 class Reversal(NamedTuple):
@@ -155,15 +158,16 @@ class Reversal(NamedTuple):
 @dataclass(frozen=True, repr=False)
 class AngleFit(
     Arrays,
-    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; inverse P P; noise C C",
+    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; spread C P N; noise C C; "
+    "walk C",
 ):
     """Readings (N, C) at angles (N,) as a sum of terms.
 
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
     cos 1, sin 1, and if significant cos n, sin n, drift (over the order of the readings, from -1 to 1) and sense
-    (difference between forward and backward rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a
-    reading with `dof` degrees of freedom. The covariance of coefficients p, q of channels c, d is noise[c,
-    d]·inverse[p, q].
+    (difference between forward and backward rotation). `noise` (C, C): covariance of a reading with `dof` degrees
+    of freedom, which includes its `rounding`. `walk` (C,): variance of a random walk over it. `estimator`, `spread` (C,
+    P, N): coefficient per reading, and per unit of noise.
     """
 
     channels: tuple[str, ...]
@@ -172,9 +176,12 @@ class AngleFit(
     terms: tuple[str, ...]
     design: FloatArray
     coefficient: FloatArray
-    inverse: FloatArray
+    estimator: FloatArray
+    spread: FloatArray
     noise: FloatArray
     dof: float
+    rounding: Rounding
+    walk: FloatArray
 
     @property
     def residual(self) -> FloatArray:
@@ -192,10 +199,41 @@ class AngleFit(
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
-        """Return the noise covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude."""
-        indices = self._columns(order)
-        turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], self.noise))
+        """Return the noise covariance (2C, 2C) of a harmonic's amplitude, without rounding.
+
+        In the order [all Re, all Im].
+        """
+        signed = self.spread[:, self._columns(order)] * np.array([[1.0], [-1.0]])
+        return coefficient_covariance(signed, self.rounding.without(self.noise))
+
+    def combined(self, row: FloatArray) -> FloatArray:
+        """Return the covariance (P, P) of coefficients of channels summed with factors (C,)."""
+        terms = len(self.terms)
+        whole = coefficient_covariance(self.spread, self.noise).reshape(terms, len(row), terms, len(row))
+        return np.asarray(np.einsum("c,pcqd,d->pq", row, whole, row))
+
+    def rounding_effect(self, order: int = 1) -> FloatArray:
+        """Return the effect (2C, r) of rounding on a harmonic's amplitude, [all Re, all Im]."""
+        columns = self._columns(order)
+        effect = self.rounding.effect(self.estimator, self.design, self.reading, self.coefficient, self.noise, columns)
+        return np.asarray(effect * np.repeat([1.0, -1.0], len(self.channels))[:, None])
+
+    def loop(self) -> FloatArray:
+        """Return the squared difference (C,) between both senses, and its variance.
+
+        Of the first harmonic, amplitude.
+        """
+        sense, none = turning_sense(self.angle_rad), np.zeros((2, len(self.channels)))
+        if np.ptp(sense) == 0.0:
+            return none
+        names = [name for name in self.terms if not name.startswith("sense")]
+        design = np.stack([self.design[:, self.terms.index(name)] for name in names], axis=1)
+        design = np.column_stack([design, *(0.5 * sense * _periodic(name, self.angle_rad) for name in names[:3])])
+        if len(design) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
+            return none
+        fit = DriftingFit.of(design, self.reading, self.walk, _walk(len(design)))
+        variance = np.sum(fit.spread[:, -2:] ** 2, axis=(1, 2)) * np.diag(self.noise)
+        return np.stack([np.sum(fit.coefficient[-2:] ** 2, axis=0), variance])
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
@@ -219,13 +257,16 @@ class AngleFit(
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
 
 
-def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
+def fit_angles(
+    channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray, digit: FloatArray | None = None
+) -> AngleFit:
     """Fit offset, first harmonic and significant further terms to readings (N, C) at angles (N,).
 
     Further terms are harmonics as far as the angles resolve them, a linear drift and, if the head was rotated both
     ways, the difference between both senses. The most significant term enters first. It must be significant in an F
     test of one channel with a chance below 1 in 1000 for all channels together. The variance of a reading is at least
-    a²/12 for its last digit a.
+    a²/12 for its last `digit` a (C,), by default that of the readings. Equal readings share their rounding
+    error. A random walk replaces terms that it explains with fewer parameters (Bayesian information criterion).
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -237,20 +278,47 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
         raise ValueError(f"angle_rad: expected at least four angles over most of a revolution, found {spread}")
-    digit = np.array([_last_digit(column) for column in values.T])
-    floor = digit**2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
-    names = [name for name, _ in terms]
-    while (entering := _clearest(design, blocks, values, floor)) is not None:
+    rounding = Rounding(np.array([last_digit(column) for column in values.T]) if digit is None else digit)
+    computed = (PRECISION * np.abs(values).max(axis=0)) ** 2
+    repeats = len(angle) / np.array([len(np.unique(column)) for column in values.T])  # of one rounding error
+    floor, names = rounding.variance + computed, [name for name, _ in terms]
+    slow = [column for block in blocks for name, column in block if name.startswith(("drift", "sense"))]
+    walks = find_walks(np.column_stack([design, *slow]), values, _walk(len(angle)), floor)
+    start = names, design, blocks, values, repeats * floor
+    names, fit = _selected(*start, 0.0 * walks)
+    if walks.any():
+        other_names, other = _selected(*start, walks)
+        if other.criterion(floor) < fit.criterion(floor) - STRONG:
+            names, fit = other_names, other
+    noise = fit.noise + np.diag(np.maximum(0.0, floor - np.diag(fit.noise)))
+    return AngleFit(
+        channels, angle, values, tuple(names), fit.design, fit.coefficient, fit.estimator, fit.spread, noise, fit.dof,
+        rounding, fit.walk,
+    )  # fmt: skip
+
+
+def _walk(count: int) -> FloatArray:
+    """Return the covariance (N, N) of a random walk over the order of the readings."""
+    return walk_covariance(np.arange(float(count)))
+
+
+def _selected(
+    names: list[str],
+    design: FloatArray,
+    blocks: list[list[Term]],
+    values: FloatArray,
+    floor: FloatArray,
+    walk: FloatArray,
+) -> tuple[list[str], DriftingFit]:
+    """Return names and fit of the terms that enter with given random walks (C,)."""
+    names, blocks = list(names), list(blocks)
+    fit = DriftingFit.of(design, values, walk, _walk(len(values)))
+    while (entering := _clearest(fit, blocks, values, floor)) is not None:
         block = blocks.pop(entering)
         names += [name for name, _ in block]
-        design = np.column_stack([design, *(column for _, column in block)])
-    inverse: FloatArray = np.asarray(np.linalg.inv(design.T @ design), np.float64)
-    coefficient = inverse @ design.T @ values
-    residual = values - design @ coefficient
-    dof = len(design) - len(names)
-    noise = residual.T @ residual / dof
-    noise += np.diag(np.maximum(0.0, floor - np.diag(noise)))
-    return AngleFit(channels, angle, values, tuple(names), design, coefficient, inverse, noise, float(dof))
+        design = np.column_stack([fit.design, *(column for _, column in block)])
+        fit = DriftingFit.of(design, values, walk, _walk(len(values)))
+    return names, fit
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
@@ -262,9 +330,6 @@ def turning_sense(angle_rad: FloatArray) -> FloatArray:
     moved = sense[sense != 0.0]
     first = moved[0] if len(moved) else 0.0
     return np.concatenate([[first], np.where(sense == 0.0, first, sense)])
-
-
-Term = tuple[str, FloatArray]
 
 
 def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
@@ -297,38 +362,41 @@ def _distinct(angle: FloatArray) -> FloatArray:
     return np.asarray(distinct[:-1] if wraps else distinct)
 
 
-def _last_digit(column: FloatArray) -> float:
-    """Return the last digit of all readings, 1, 2, 5 times 10ⁿ, or 0."""
-    largest = float(np.abs(column).max())
-    if FINEST * largest < np.finfo(np.float64).tiny:
-        return 0.0
-    for power in range(int(np.ceil(np.log10(largest))), int(np.floor(np.log10(FINEST * largest))), -1):
-        for mantissa in (5.0, 2.0, 1.0):
-            steps = column / (mantissa * 10.0**power)
-            if np.all(np.abs(steps - np.round(steps)) < WHOLE):
-                return float(mantissa * 10.0**power)
-    return 0.0
-
-
-def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
+def _clearest(fit: DriftingFit, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
     """Return the index of the most significant block, None without one."""
+    least = CHANCE / max(1, len(floor))
+    chances = np.ones(len(blocks))
+    for walk in set(fit.walk.tolist()):
+        group = np.flatnonzero(fit.walk == walk)
+        root, columns = fit.roots[group[0]], [np.stack([column for _, column in block], axis=1) for block in blocks]
+        if walk:
+            white = [np.linalg.solve(root, each) for each in (fit.design, values[:, group], *columns)]
+        else:
+            white = [fit.design, values[:, group], *columns]
+        chances = np.minimum(chances, _chances(white[0], white[2:], white[1], floor[group]))
+    best = int(np.argmin(chances)) if len(blocks) else 0
+    return best if len(blocks) and chances[best] < least else None
+
+
+def _chances(design: FloatArray, blocks: list[FloatArray], values: FloatArray, floor: FloatArray) -> FloatArray:
+    """Return the least chance of each block (N, B) by F tests of every channel.
+
+    It is 1 of a block that is not separate from the design.
+    """
     from scipy.special import fdtrc
 
     basis = np.linalg.qr(design)[0]
     left = values - basis @ (basis.T @ values)
     before = np.sum(left**2, axis=0)
-    best, least = None, CHANCE / max(1, len(floor))
-    for index, block in enumerate(blocks):
-        columns = np.stack([column for _, column in block], axis=1)
+    chances = np.ones(len(blocks))
+    for index, columns in enumerate(blocks):
         orthogonal = columns - basis @ (basis.T @ columns)
-        dof = len(design) - design.shape[1] - len(block)
+        dof = len(design) - design.shape[1] - columns.shape[1]
         axes, size, _ = np.linalg.svd(orthogonal, full_matrices=False)
         if dof < MIN_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
         gain = np.sum((axes.T @ left) ** 2, axis=0)
         noise = np.maximum((before - gain) / dof, floor)
-        ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
-        chance = float(np.min(fdtrc(len(block), dof, ratio)))
-        if chance < least:
-            best, least = index, chance
-    return best
+        ratio = gain / columns.shape[1] / np.where(noise > 0.0, noise, 1.0)
+        chances[index] = float(np.min(fdtrc(columns.shape[1], dof, ratio)))
+    return chances

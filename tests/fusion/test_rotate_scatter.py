@@ -22,9 +22,9 @@ from fusion.sensor.rotate.rotation_readings import (
     RepeatedResults,
     RotationEvaluation,
     ScatterComponent,
-    first_harmonics,
+    gravity_record,
     local_gravity,
-    read_rotation,
+    read_rotations,
     scatter_components,
     unknown_volume,
 )
@@ -187,18 +187,19 @@ class _Trials:
         """`sizes`: recordings of every mounting, of either state."""
         write_rotation(folder, 1, SCATTERING)
         manifests = {name: load_manifest(folder / name) for name in (BARE, LOADED)}
-        read = {name: read_rotation(manifest)[:2] for name, manifest in manifests.items()}
+        read = {name: read_rotations([manifest])[:2] for name, manifest in manifests.items()}
         self.surroundings = local_gravity(manifests[BARE]), manifests[BARE].rig.surroundings.air
         recordings, records = [], []
-        for state, (recording, _) in read.items():
+        for state, ((recording,), _) in read.items():
             angle = recording.fit.angle_rad
             outputs = true_outputs(SCATTERING, state, angle, turning_sense(angle), Draws(1, False))
             amplitude = fit_angles(recording.fit.channels, angle, outputs).amplitude()
+            response = np.stack([amplitude.real, amplitude.imag])
             for mounting, size in enumerate(sizes):
                 manifest = replace(manifests[state], mounting=str(mounting))
                 for number in range(size):
                     recordings.append(replace(recording, name=f"{state} {mounting} {number}", manifest=manifest))
-                    records.append(replace(first_harmonics(recordings[-1]), amplitude=amplitude))
+                    records.append(replace(gravity_record(recordings[-1]), response=response))
         self.recordings, self.records = tuple(recordings), tuple(records)
         self.weights = fit_weights(self.records, read[BARE][1], SCATTERING.u_angle_rad)
 
@@ -238,7 +239,7 @@ def test_intervals_of_masses_contain_the_truth(sizes, within, between, tmp_path)
 
 
 ROTATION_TRIALS = 1000
-BY_CALIBRATION = read_preset(RotationRig, "rotation", u_angle_rad=3e-4)
+BY_CALIBRATION = read_preset(RotationRig, "rotation", u_angle_rad=3e-4, hysteresis=0.0)
 BY_NOISE = read_preset(
     RotationRig, "rotation", u_sensitivity=2e-5, u_angle_rad=1e-5, u_load_mass_kg=1e-6, hysteresis=0.0
 )
@@ -267,21 +268,21 @@ def _truth(rig: RotationRig, drawn: dict[str, list[float]]) -> dict[tuple[str, s
 def test_intervals_contain_the_truth(rig, tmp_path):
     write_rotation(tmp_path, 1, rig)
     manifests = [load_manifest(tmp_path / name) for name in (BARE, LOADED)]
-    read = [read_rotation(manifest)[:2] for manifest in manifests]
+    read_together, calibrated, _ = read_rotations(manifests)
     gravity, air = local_gravity(manifests[0]), manifests[0].rig.surroundings.air
-    angle = read[0][0].fit.angle_rad
+    angle = read_together[0].fit.angle_rad
     if rig is BY_NOISE:
         angle = angle[:16]
     covered = dict.fromkeys(JUDGED, 0)
     for seed in range(ROTATION_TRIALS):
         draws, recordings = Draws(seed, True), []
-        for (recording, _), name in zip(read, (BARE, LOADED), strict=True):
+        for recording, name in zip(read_together, (BARE, LOADED), strict=True):
             outputs = true_outputs(rig, name, angle, turning_sense(angle), draws)
             noise = np.array(rig.noise) * draws.stream(f"{name}.noise").standard_normal(outputs.shape)
             fit = fit_angles(recording.fit.channels, angle, outputs + noise)
             recordings.append(replace(recording, fit=fit))
-        records = tuple(first_harmonics(recording) for recording in recordings)
-        weights = fit_weights(records, read[0][1], rig.u_angle_rad)
+        records = tuple(gravity_record(recording) for recording in recordings)
+        weights = fit_weights(records, calibrated, rig.u_angle_rad)
         campaign = MassInputs(tuple(recordings), records, weights, gravity, air)
         found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():

@@ -174,7 +174,7 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
     _differ(one, other)
 
 
-@pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer", "chirp"])
+@pytest.mark.parametrize("preset", ["rotation", "orientations", "loads", "elastomer", "chirp"])
 def test_the_command_replaces_only_an_earlier_simulation(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

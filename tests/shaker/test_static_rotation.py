@@ -19,13 +19,11 @@ from shaker.static_rotation.harmonics import (
     standard_pressure,
     turning_sense,
 )
-from shaker.static_rotation.masses import (
-    DISAGREEMENT_SOURCE,
-    ROWS,
-    UNDETERMINED_SOURCE,
+from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, ROWS, UNDETERMINED_SOURCE, fit_weights
+from shaker.static_rotation.weight_model import (
     RotationRecord,
     SensorOutputs,
-    fit_weights,
+    head_record,
     start_values,
 )
 
@@ -233,7 +231,15 @@ def _rotation_record(
     outputs = loads @ matrix.T
     fit = fit_angles(tuple("abcdef"[: len(matrix)]), STEPS, outputs)
     variance = np.tile((NOISE[: len(matrix)]) ** 2, 2)
-    return RotationRecord("one", fit.amplitude(), np.diag(variance), 1e9, axis, down)
+    return head_record("one", fit.amplitude(), np.diag(variance), 1e9, axis, down)
+
+
+def _parts(harmonic: np.ndarray) -> np.ndarray:
+    return np.stack([harmonic.real, harmonic.imag])
+
+
+def _harmonic(record: RotationRecord) -> np.ndarray:
+    return np.asarray(record.response[0] + 1j * record.response[1])
 
 
 @settings(deadline=None, max_examples=12)
@@ -267,7 +273,7 @@ def test_the_effect_of_every_cause_is_the_change_of_the_values():
     fit = fit_weights(records, outputs, 2e-4)
 
     def noisy(r: int, by: np.ndarray) -> np.ndarray:
-        off = [replace(one, amplitude=one.amplitude + by * (s == r)) for s, one in enumerate(records)]
+        off = [replace(one, response=one.response + _parts(by) * (s == r)) for s, one in enumerate(records)]
         return fit_weights(off, outputs, 2e-4).value
 
     units = [turn * unit for unit in np.diag(NOISE) for turn in (1.0, 1.0j)]
@@ -277,7 +283,7 @@ def test_the_effect_of_every_cause_is_the_change_of_the_values():
         fit_weights(records, replace(outputs, sensitivity=one), 2e-4).value for one in matrices
     ]
     heads = [
-        [replace(one, amplitude=one.amplitude - 1e-4j * turn * one.amplitude.conj()) for one in records]
+        [replace(one, response=one.response - _parts(1e-4j * turn * _harmonic(one).conj())) for one in records]
         for turn in (1.0, -1.0j)
     ]
     changed["angle of the head"] = [fit_weights(one, outputs, 2e-4).value for one in heads]
@@ -331,11 +337,14 @@ def test_channels_that_disagree_enlarge_the_uncertainty():
 def test_readings_that_are_no_weight_are_refused():
     record = _rotation_record(_load(20.0))
     for change, match in (
-        ({"axis": -Z}, "^axis: "),
-        ({"amplitude": np.zeros(6, np.complex128)}, "^amplitude: "),
+        ({"axis": -Z, "direction": record.direction * [[1.0], [-1.0]]}, "^axis: "),
+        ({"response": np.zeros((2, 6))}, "^amplitude: "),
     ):
         refused(match, start_values, replace(record, **change), _outputs())
     refused("^axis: ", replace, record, axis=Y)
-    along, only = _outputs(SENSITIVITY[2:3]), replace(record, amplitude=record.amplitude[2:3], covariance=np.eye(2))
+    along, only = (
+        _outputs(SENSITIVITY[2:3]),
+        replace(record, response=record.response[:, 2:3], covariance=np.eye(2), loop=np.zeros((2, 1))),
+    )
     refused("^sensitivity: ", start_values, only, along)
     refused("^records: ", fit_weights, [], along)

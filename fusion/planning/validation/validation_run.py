@@ -128,11 +128,12 @@ def step(inputs: Inputs) -> dict[str, float]:
 
 def rotation(inputs: Inputs) -> dict[str, float]:
     """Compute weight and first moment of a body rotated in gravity."""
-    from shaker.static_rotation.masses import RotationRecord, SensorOutputs, fit_weights
+    from shaker.static_rotation.masses import fit_weights
+    from shaker.static_rotation.weight_model import SensorOutputs, head_record
 
     amplitude = _complex(inputs, "amplitude")
     axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
-    record = RotationRecord("weight", amplitude, inputs["variance"] * np.eye(12), 20.0, axis, down)
+    record = head_record("weight", amplitude, inputs["variance"] * np.eye(12), 20.0, axis, down)
     value = fit_weights([record], SensorOutputs(np.array(inputs["sensitivity"]), np.zeros((6, 6)))).value
     names = ("weight", *(f"first moment {axis}" for axis in "xyz"))
     return dict(zip(names, value[:4].tolist(), strict=True))

@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import PERCENT
-from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import bench_notices as declared
+from fusion.sensor.rotate.rotation_matrix import force_sensitivity
+from fusion.sensor.rotate.rotation_poses import pose_notices
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -26,28 +27,33 @@ from fusion.sensor.rotate.rotation_readings import (
     RotationRecording,
     RotationScatter,
     WeighedBody,
-    first_harmonics,
+    gravity_record,
     load_bodies,
     local_gravity,
-    read_rotation,
+    mounted_vectors,
+    read_rotations,
     recording_bodies,
     scatter_components,
-    table_path,
     unknown_volume,
 )
-from shaker.labels import AXES, LOAD_COMPONENTS
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import SourcedValue
 from shaker.static_rotation.masses import (
-    FORCES,
+    HYSTERESIS_SOURCE,
     ROWS,
     UNDETERMINED_SOURCE,
-    UNKNOWNS_PER_RECORD,
-    RotationRecord,
-    SensorOutputs,
     WeightErrorSource,
     WeightFit,
     fit_weights,
     mass_of_weight,
+)
+from shaker.static_rotation.weight_model import (
+    FORCES,
+    LOOP_CERTAIN,
+    UNKNOWNS_PER_RECORD,
+    RotationRecord,
+    SensorOutputs,
+    rotation_vector,
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -91,14 +97,18 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         manifest.check_command("rotate")
     check_one_rig(manifests)
     gravity, air = local_gravity(manifests[0]), manifests[0].rig.surroundings.air
-    recordings, outputs, notices = _read(manifests)
-    records = tuple(first_harmonics(recording) for recording in recordings)
+    recordings, outputs, notices = read_rotations(manifests)
+    records = tuple(gravity_record(recording) for recording in recordings)
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
     mass_inputs = MassInputs(recordings, records, weights, gravity, air)
     numbers, scatter = quantities(mass_inputs), repeats(mass_inputs)
+    tilts = mass_inputs.tilts
+    matrix = force_sensitivity(recordings, records, outputs, mass_inputs.load, (gravity, air), tilts)
+    numbers += tuple(matrix)
     notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
-    notices += _fit_notices(weights, records)
+    notices += [*_fit_notices(weights, records), *pose_notices(recordings, mass_inputs.tilts)]
+    notices += [*_head_notices(recordings, records), *_hysteresis_notices(records, outputs, numbers)]
     notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
@@ -119,23 +129,6 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
-
-
-def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
-    """Return all recordings, which must have the same channels."""
-    read = [read_rotation(manifest) for manifest in manifests]
-    first, outputs, _ = read[0]
-    for recording, _, _ in read[1:]:
-        if recording.fit.channels != first.fit.channels or recording.unit != first.unit:
-            found, expected = (
-                ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
-                for r in (recording, first)
-            )
-            file = table_path(recording.manifest)
-            raise InputError(
-                declared.DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found
-            )
-    return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
 def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOutputs) -> Iterator[Notice]:
@@ -176,6 +169,8 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
     """Yield notices on the axis of the head and the consistency of the channels."""
     for r, record in enumerate(records):
         row = weights.value[ROWS * r : ROWS * (r + 1)]
+        if not record.head:
+            continue
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
         if abs(zero) > np.pi / 2.0:
             yield Notice(declared.GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
@@ -183,8 +178,34 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
             yield Notice(declared.GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
         if tilt > AXIS_TILT_NOTICE_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
             yield Notice(declared.AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
-    if weights.departure > 0.0:
-        yield Notice(declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
+    if weights.departure > 0.0 or weights.moment_departure > 0.0:
+        departures = 100.0 * weights.departure, 100.0 * weights.moment_departure
+        yield Notice(
+            declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=departures[0], moment_percent=departures[1]
+        )
+
+
+def _head_notices(recordings: Sequence[RotationRecording], records: Sequence[RotationRecord]) -> Iterator[Notice]:
+    """Yield notices on what the readings of a head do not show."""
+    for recording, record in zip(recordings, records, strict=True):
+        if record.head and recording.manifest.excitation.axis_uncertainty is None:
+            yield Notice(declared.AXIS_INCLINATION_NOT_STATED, "axis")
+        if record.head and not record.loop.any():
+            yield Notice(declared.ONE_SENSE_OF_ROTATION, record.name)
+
+
+def _hysteresis_notices(
+    records: Sequence[RotationRecord], outputs: SensorOutputs, numbers: Sequence[RotationQuantity]
+) -> Iterator[Notice]:
+    """Yield notices on hysteresis that is most of a mass's or centre's U."""
+    named = [q for q in numbers if q.name.endswith(("_mass", "_centre_of_mass"))]
+    if not any(q.budget.get(HYSTERESIS_SOURCE, 0.0) ** 2 > 0.5 * q.u**2 for q in named):
+        return
+    for record in records:
+        for name, kind in (("forces", outputs.forces), ("moments", ~outputs.forces)):
+            share = 100.0 * record.loop_share(kind, LOOP_CERTAIN)
+            if share > 0.0:
+                yield Notice(declared.HYSTERESIS_FOUND, record.name, loop_percent=share, outputs=name)
 
 
 # From weights to masses and centres of mass.
@@ -236,9 +257,16 @@ class MassInputs:
         return [r for r, recording in enumerate(self.recordings) if recording.with_load == with_load]
 
     @cached_property
+    def tilts(self) -> FloatArray:
+        """Fitted rotations (R, 3) of the true axes against the stated ones, rad."""
+        rows = self.weights.value[: ROWS * len(self.recordings)].reshape(-1, ROWS)
+        return np.array([rotation_vector(record, row) for record, row in zip(self.records, rows, strict=True)])
+
+    @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
         """Forces that determine each weight individually, as (index in `WEIGHT_AND_MOMENT_ROWS`, name)."""
-        finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
+        rows = self.weights.value[: ROWS * len(self.recordings)].reshape(-1, ROWS)
+        finite = np.isfinite(rows[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
 
@@ -274,8 +302,9 @@ class _PerturbedInputs:
         self.uncertain = np.flatnonzero(self.u > 0.0)
         steps = np.diag(self.u)[:, self.uncertain]
         variants = value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])
-        start, self.mass_inputs = ROWS * len(mass_inputs.recordings), mass_inputs
-        self.fit = variants[:start].reshape(-1, ROWS, variants.shape[1])
+        main, start, self.mass_inputs = ROWS * len(mass_inputs.recordings), len(fit.value), mass_inputs
+        self.fit = variants[:main].reshape(-1, ROWS, variants.shape[1])
+        self.offset = variants[main:start]
         self.gravity, self.air, self.volume = variants[start : start + 3]
         self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(mass_inputs.bodies)}
 
@@ -403,12 +432,7 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
         yield QuantityLabel("N", "weight", "weight in air", JOINT, name), row[0]
         for i, component in mass_inputs.single_forces[r]:
             yield QuantityLabel("N", "weight", "weight in air", component, name), row[UNKNOWNS_PER_RECORD + i - 1]
-        yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
-        _, along, across = mass_inputs.records[r].frame
-        tilt = np.outer(along, row[5]) + np.outer(across, row[6])
-        for i, axis in enumerate(AXES):
-            if abs(along[i]) + abs(across[i]) > 0.5:
-                yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
+        yield from _frame(inputs, r)
         mean = loaded if recording.with_load else bare
         if mean is not None and len(mass_inputs.recording_indices(recording.with_load)) > 1:
             for i, component in seen:
@@ -416,6 +440,34 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
                 yield head, net[i] - mean[i]
     yield QuantityLabel("m/s^2", "gravity", "local gravity", ""), inputs.gravity
     yield QuantityLabel("kg/m^3", "air_density", "density of the air", ""), inputs.air
+
+
+def _frame(inputs: _PerturbedInputs, r: int) -> LabelledValues:
+    """Yield how the sensor stood, and of poses its outputs without load."""
+    record, recording, row = inputs.mass_inputs.records[r], inputs.mass_inputs.recordings[r], inputs.fit[r]
+    name, (along, across) = recording.name, record.frame
+    if record.head:
+        yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
+        tilt = np.outer(along, row[5]) + np.outer(across, row[6])
+        for i, axis in enumerate(AXES):
+            if abs(along[i]) + abs(across[i]) > 0.5:
+                yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
+        return
+    rotated = np.array([rotation_vector(record, column) for column in row.T]).T
+    if recording.manifest.excitation.sensor_in_flange == "fit":
+        rotated = mounted_vectors(recording.mounted, rotated)
+        labels = ("sensor_in_flange", "rotation vector from sensor to flange")
+    else:
+        labels = ("frame_tilt", "true axes minus stated axes")
+    for axis, angle in zip(AXES, rotated, strict=True):
+        yield QuantityLabel("rad", *labels, axis, name), angle
+    before = sum(len(each.constant) for each in inputs.mass_inputs.records[:r])
+    offset = inputs.offset[before : before + len(record.constant)]
+    for i in recording.determined:
+        label = QuantityLabel(LOAD_UNITS[i], "offset", "offset", LOAD_COMPONENTS[i], name)
+        yield label, recording.inverse[i] @ offset
+    for channel, unit, value in zip(recording.fit.channels, recording.unit, offset, strict=True):
+        yield QuantityLabel(unit, "output_offset", "output without load", channel, name), value
 
 
 def _load(inputs: _PerturbedInputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> LabelledValues:

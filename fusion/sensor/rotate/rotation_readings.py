@@ -1,10 +1,9 @@
-"""Readings of rotation tests: surroundings, bodies, scatter, and the evaluation."""
+"""Recordings of rotation tests: surroundings, bodies, scatter, fits, and the evaluation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,13 +14,30 @@ from fusion.errors import InputError, as_input_error
 from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import RigLoad, RigPart, Sensor
-from fusion.recording.units import recorded_unit
+from fusion.sensitivity.ratio import StatedMatrix
 from fusion.sensor import bench_notices as declared
-from shaker.io.text import read_table_columns, table_units
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from fusion.sensor.rotate.rotation_table import (
+    RotationTable,
+    in_radians,
+    orientation_series,
+    read_rotation_table,
+    wrong_table,
+)
+from shaker.labels import LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
-from shaker.static_rotation.masses import RotationRecord, SensorOutputs, WeightFit, start_values
-from shakercal._common.arrays import FloatArray
+from shaker.static_rotation.masses import WeightFit
+from shaker.static_rotation.orientations import OrientationFit, fit_orientations
+from shaker.static_rotation.weight_model import (
+    FORCES,
+    MIN_FORCE_SHARE,
+    TILT_RAD,
+    OutputEffect,
+    RotationRecord,
+    SensorOutputs,
+    head_record,
+    start_values,
+)
+from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Gravity, air and bodies, as stated by the rig or derived from its location.
@@ -182,19 +198,20 @@ JOINT = "joint"
 
 @dataclass(frozen=True)
 class RotationRecording:
-    """One recording: readings over the angle, and their fit.
+    """One recording: readings over the angle or in any orientations, and their fit.
 
     `name`: of its folder. `unit` (C,): of every channel. `load` (N, 6): readings as loads by the inverse (6, C) of the
-    calibration matrix, NaN for components that it does not determine.
+    calibration matrix, NaN for components that it does not determine. `mounted` (3, 3): x_flange = mounted·x_sensor.
     """
 
     name: str
     manifest: Manifest
     with_load: bool
     unit: tuple[str, ...]
-    fit: AngleFit
+    fit: AngleFit | OrientationFit
     inverse: FloatArray
     load: FloatArray
+    mounted: FloatArray
 
     @property
     def state(self) -> str:
@@ -238,148 +255,184 @@ class RotationEvaluation(CommandEvaluation):
         return next((q for q in self.quantities if (q.name, q.component, q.recording) == key), None)
 
 
-# From the table of readings over the angle to harmonics of the outputs.
+# From tables of readings to outputs per direction of gravity.
 
 
-ANGLE = "angle"
-ANGLE_UNITS = {"deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad"}
-SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
+def read_rotations(
+    manifests: Sequence[Manifest],
+) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
+    """Return recordings with their fits, the channels' calibration, and notices; refuse impossible readings.
 
-
-def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs, list[Notice]]:
-    """Return a recording with its fit, its channels' calibration, and notices; refuse impossible readings."""
-    sensor, where = manifest.rig.sensor, manifest.folder.name
+    A channel is left out if it is constant in every recording. If it is so in one of them, or the force along the axis
+    of a head, its last digit bounds the load.
+    """
+    sensor, notices = manifests[0].rig.sensor, list[Notice]()
     if sensor is None:
         expected = "[sensor], whose readings are in the table"
-        raise InputError(declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor", expected=expected)
-    units, are_loads = _columns(manifest, sensor)
-    angle, values = _numbers(manifest, sensor, units, are_loads)
-    changing = np.ptp(values, axis=0) > 0.0
-    constant = [name for name, changes in zip(units, changing, strict=True) if not changes]
-    notices = [Notice(declared.CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
-    missing = [name for name in sensor.channels if name not in units]
-    if missing:
-        table = table_path(manifest).name
-        notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=table, channels=", ".join(missing)))
-    channels = tuple(name for name in units if name not in constant)
+        raise InputError(declared.MISSING_ROTATION_ENTRY, manifests[0].rig_path, "sensor", expected=expected)
+    tables = [read_rotation_table(manifest, sensor) for manifest in manifests]
+    first = tables[0]
+    for table in tables[1:]:
+        if table.units != first.units:
+            found, expected = (", ".join(f"{c} {u}".strip() for c, u in each.units.items()) for each in (table, first))
+            raise InputError(
+                declared.DIFFERENT_ROTATION_CHANNELS,
+                table.path,
+                expected=expected,
+                recording=first.path.parent.name,
+                found=found,
+            )
+    digits = np.array([table.digit for table in tables])
+    digit = np.min(np.where(digits > 0.0, digits, np.inf), axis=0)
+    moves = np.any([np.ptp(table.reading, axis=0) > 0.0 for table in tables], axis=0)
+    moves |= np.isfinite(digit) & _along_axis(manifests, sensor_outputs(sensor, list(first.units), first.are_loads))
+    used = np.array([i for i, moving in enumerate(moves) if moving], np.int64)
+    channels, constant = ([name for name, m in zip(first.units, moves, strict=True) if m == of] for of in (True, False))
+    missing = [name for name in sensor.channels if name not in first.units]
+    for manifest, table in zip(manifests, tables, strict=True):
+        where = manifest.folder.name
+        if constant:
+            notices.append(Notice(declared.CONSTANT_CHANNELS, where, channels=", ".join(constant)))
+        if missing:
+            named = ", ".join(missing)
+            notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=table.path.name, channels=named))
     if not channels:
-        raise _wrong_table(table_path(manifest), "", "readings that change with the angle", "constant readings")
+        raise wrong_table(first.path, "", "readings that change with the angle", "constant readings")
+    outputs = sensor_outputs(sensor, channels, first.are_loads)
+    digit = np.where(np.isfinite(digit), digit, 0.0)[used]
+    recordings = [
+        _recording(manifest, replace(table, reading=table.reading[:, used]), outputs, tuple(channels), digit)
+        for manifest, table in zip(manifests, tables, strict=True)
+    ]
+    return tuple(recordings), outputs, notices
+
+
+def sensor_outputs(sensor: Sensor, channels: Sequence[str], are_loads: bool) -> SensorOutputs:
+    """Return the stated calibration matrix of some channels with its uncertainty."""
+    sense: Literal[1, -1] = 1 if sensor.sense == "on_sensor" else -1
     if are_loads:
-        matrix = np.eye(6)[[LOAD_COMPONENTS.index(name) for name in channels]]
+        matrix = np.eye(len(LOAD_COMPONENTS))[[LOAD_COMPONENTS.index(name) for name in channels]]
     else:
         matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(name) for name in channels]]
-    sense: Literal[1, -1] = 1 if sensor.sense == "on_sensor" else -1
-    outputs = SensorOutputs(matrix, sensor.static_sensitivity_uncertainty * np.abs(matrix), sense)
-    with as_input_error(table_path(manifest)):
-        fit = fit_angles(channels, angle, values[:, changing])
+    u = sensor.static_sensitivity_uncertainty * np.abs(matrix)
+    if sensor.cross_talk_uncertainty is not None:
+        rated = StatedMatrix.of(sensor).rated
+        signal = np.abs(matrix) * rated
+        largest = signal.max(axis=1, keepdims=True)
+        u = np.where(signal < largest, np.hypot(u, sensor.cross_talk_uncertainty * largest / rated), u)
+    return SensorOutputs(matrix, u, sense)
+
+
+def _along_axis(manifests: Sequence[Manifest], outputs: SensorOutputs) -> BoolArray:
+    """Return which outputs (C,) respond mainly to the force along the head's axis."""
+    axes = [np.zeros(3) if m.excitation.axis is None else np.array(m.excitation.axis) for m in manifests]
+    main = np.argmax(np.abs(outputs.sensitivity[:, :FORCES]), axis=1)
+    along = np.min(np.abs(axes), axis=0) > np.sqrt(1.0 - MIN_FORCE_SHARE**2)
+    return np.asarray(outputs.forces & along[main])
+
+
+def _recording(
+    manifest: Manifest, table: RotationTable, outputs: SensorOutputs, channels: tuple[str, ...], digit: FloatArray
+) -> RotationRecording:
+    """Return one recording with its fit."""
+    fit: AngleFit | OrientationFit
+    mounted = np.eye(3)
+    if manifest.excitation.orientation is None:
+        with as_input_error(table.path):
+            fit = fit_angles(channels, in_radians(manifest, table)[:, 0], table.reading, digit)
+    else:
+        fit, mounted = _orientation_fit(manifest, table, outputs, channels, digit)
+    sensor = manifest.rig.sensor
     recording = RotationRecording(
-        name=where,
+        name=manifest.folder.name,
         manifest=manifest,
         with_load=bool(manifest.excitation.with_load),
-        unit=tuple(units[name] if are_loads else sensor.unit for name in channels),
+        unit=tuple(table.units[name] if table.are_loads or sensor is None else sensor.unit for name in channels),
         fit=fit,
         inverse=outputs.inverse,
         load=np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan),
+        mounted=mounted,
     )
     try:
-        start_values(first_harmonics(recording), outputs)
+        start_values(gravity_record(recording), outputs)
     except ValueError as error:
-        keys = {"axis": (manifest.path, "excitation.axis"), "sensitivity": (manifest.rig_path, "sensor.channels")}
-        file, key = keys.get(str(error).partition(":")[0], (table_path(manifest), ""))
+        keys = {
+            "axis": (manifest.path, "excitation.axis"),
+            "orientation": (manifest.path, "excitation.orientation"),
+            "sensitivity": (manifest.rig_path, "sensor.channels"),
+        }
+        file, key = keys.get(str(error).partition(":")[0], (table.path, ""))
         raise InputError.from_exception(error, file, key) from error
-    return recording, outputs, notices
+    return recording
 
 
-def first_harmonics(recording: RotationRecording) -> RotationRecord:
-    """Return the first harmonics of a recording with the stated axis and direction of gravity."""
-    excitation, fit = recording.manifest.excitation, recording.fit
-    axis, down = np.array(excitation.axis), np.array(excitation.zero_gravity)
-    return RotationRecord(recording.name, fit.amplitude(), fit.covariance(), fit.dof, axis, down)
+def _orientation_fit(
+    manifest: Manifest, table: RotationTable, outputs: SensorOutputs, channels: tuple[str, ...], digit: FloatArray
+) -> tuple[OrientationFit, FloatArray]:
+    """Return the fit of readings in any orientations, and the rotation on the flange."""
+    excitation = manifest.excitation
+    mounted = np.eye(3) if excitation.sensor_in_flange == "fit" else np.array(excitation.sensor_in_flange)
+    u_pose, u_down = excitation.orientation_uncertainty, excitation.down_uncertainty
+    series = orientation_series(manifest, table, mounted)
+    try:
+        fit = fit_orientations(channels, series, table.reading, digit, u_pose, u_down)
+        if excitation.sensor_in_flange != "fit":
+            return fit, mounted
+        mounted = mounted_rotation(fit, outputs)
+    except ValueError as error:
+        raise InputError.from_exception(error, table.path, table.names[0]) from error
+    series = orientation_series(manifest, table, mounted)
+    return fit_orientations(channels, series, table.reading, digit, u_pose, u_down), mounted
 
 
-def table_path(manifest: Manifest) -> Path:
-    """Return the path of the table of readings."""
-    if manifest.excitation.file is None:
-        raise InputError(
-            declared.MISSING_ROTATION_ENTRY, manifest.path, "excitation.file", expected="the table of readings"
-        )
-    return manifest.excitation.file
+def mounted_rotation(fit: OrientationFit, outputs: SensorOutputs) -> FloatArray:
+    """Return the rotation (3, 3) for which forces are along gravity.
 
-
-def _wrong_table(file: Path, key: str, expected: str, found: str) -> InputError:
-    return InputError(declared.WRONG_ROTATION_TABLE, file, key, expected=expected, found=found)
-
-
-def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
-    """Return the units of the channels' columns, and whether they are loads rather than outputs.
-
-    A column without a unit is a load if the sensor's outputs are loads, without sensitivities.
+    x_flange = R·x_sensor (Kabsch 1976, Acta Cryst. A32, 922).
     """
-    path = table_path(manifest)
-    with as_input_error(path):
-        units = table_units(path)
-    if ANGLE not in units:
-        raise _wrong_table(path, ANGLE, "a column of this name", f"the columns {', '.join(units)}")
-    stated, written = manifest.excitation.angle_unit, ANGLE_UNITS.get(units[ANGLE].strip().lower())
-    if units[ANGLE] and written != stated:
-        expected = f'the unit of the column {ANGLE} in {path.name}, "{units[ANGLE]}"'
-        raise _wrong_table(manifest.path, "excitation.angle_unit", expected, f'"{stated}"')
-    present = [name for name in sensor.channels if name in units]
-    if not present:
-        expected = f"columns of the sensor's channels {', '.join(sensor.channels)}"
-        raise _wrong_table(path, "", expected, ", ".join(units))
-    spelt = {name: _spelt(units[name]) for name in present}
-    bare_is_load = sensor.static_sensitivity is None and _spelt(sensor.unit) in LOAD_UNITS
-    loads = [name for name in present if spelt[name] in LOAD_UNITS or (bare_is_load and not spelt[name])]
-    if not loads:
-        if sensor.static_sensitivity is None:
-            expected = "sensitivities that convert outputs into loads (a calibration matrix), or columns in N"
-            raise InputError(
-                declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor.static_sensitivity", expected=expected
-            )
-        return spelt, False
-    for name in present:
-        if name not in loads:
-            expected = f"N or N.m as of {loads[0]}, or outputs throughout"
-            raise _wrong_table(path, name, expected, f'the unit "{units[name]}"')
-    units_of_loads = dict(zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True))
-    for name in present:
-        if name not in units_of_loads:
-            expected = f"one of {', '.join(LOAD_COMPONENTS)}, since columns in N and N.m are loads"
-            raise _wrong_table(manifest.rig_path, "sensor.channels", expected, f'"{name}"')
-        if spelt[name] not in ("", units_of_loads[name]):
-            raise _wrong_table(path, name, units_of_loads[name], f'the unit "{spelt[name]}"')
-    return {name: units_of_loads[name] for name in present}, True
+    if not outputs.determined[:3].all():
+        raise ValueError('sensor_in_flange: expected three forces for the rotation "fit", found fewer')
+    force = outputs.sense * (outputs.inverse @ fit.coefficient[: fit.axes].T)[:3] @ fit.basis
+    left, _, right = np.linalg.svd(force)
+    sign = np.array([1.0, 1.0, np.linalg.det(left @ right)])
+    return np.asarray((left * sign @ right).T)
 
 
-def _spelt(unit: str) -> str:
-    """Return a unit in the spelling of the result files."""
-    text = unit.strip()
-    for old, new in SPELT:
-        text = text.replace(old, new)
-    return text
+def mounted_vectors(mounted: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the rotation vectors (3, B) from sensor to flange.
+
+    `rotation` (3, B): of the true axes against the stated ones.
+    """
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray((Rotation.from_matrix(mounted) * Rotation.from_rotvec(-rotation.T)).as_rotvec().T)
 
 
-def _numbers(
-    manifest: Manifest, sensor: Sensor, units: dict[str, str], are_loads: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return angles (N,) in rad and readings (N, C), outputs or N and N·m."""
-    path, excitation, names = table_path(manifest), manifest.excitation, [ANGLE, *units]
-    with as_input_error(path):
-        table = read_table_columns(path, names)
-    if not np.isfinite(table).all():
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
-        raise _wrong_table(path, names[column], "a number in every row", f"none in row {row + 1}")
-    scale, sensor_unit = np.ones(len(units)), _spelt(sensor.unit)
-    for c, (name, unit) in enumerate([] if are_loads else units.items()):
-        if "scale" in excitation.model_fields_set or not unit:
-            scale[c] = excitation.scale
-            continue
-        found, target = recorded_unit(unit), recorded_unit(sensor.unit)
-        factor = None if found is None or target is None else found.over(target)
-        if factor is None and unit != sensor_unit:
-            expected = f'"{sensor.unit}", a multiple of it, N and N.m, or the key scale in recording.toml'
-            raise _wrong_table(path, name, expected, f'the unit "{unit}"')
-        scale[c] = 1.0 if factor is None else factor
-    angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
-    return angle, table[:, 1:] * scale
+def gravity_record(recording: RotationRecording) -> RotationRecord:
+    """Return the outputs of a recording per direction of gravity, in stated axes."""
+    excitation, fit = recording.manifest.excitation, recording.fit
+    if isinstance(fit, AngleFit):
+        axis, down = np.array(excitation.axis), np.array(excitation.zero_gravity)
+        record = head_record(recording.name, fit.amplitude(), fit.covariance(), fit.dof, axis, down)
+        bend = (excitation.axis_uncertainty or 0.0) ** 2 / 2.0  # mean of 1 - cos of the inclination
+        stated = (OutputEffect("rounding", fit.rounding_effect()),)
+        direction, u_length = (1.0 - bend) * record.direction, np.sqrt(2.0) * bend
+        return replace(record, direction=direction, u_length=u_length, loop=fit.loop(), stated=stated)
+    size = (fit.axes + 1) * len(fit.channels)
+    u, free = excitation.sensor_in_flange_uncertainty, excitation.sensor_in_flange == "fit"
+    return RotationRecord(
+        name=recording.name,
+        response=fit.coefficient[: fit.axes],
+        covariance=fit.covariance[:size, :size],
+        dof=fit.dof,
+        direction=fit.basis,
+        axis=np.array([0.0, 0.0, 1.0]),
+        down=np.array([1.0, 0.0, 0.0]),
+        constant=fit.coefficient[fit.axes],
+        mean=fit.mean,
+        loop=fit.loop,
+        u_frame=(u if u is not None and not free else TILT_RAD,) * 3,
+        frame_stated=u is not None and not free,
+        head=False,
+        stated=tuple(OutputEffect(each.name, each.effect[:size]) for each in fit.effects),
+    )

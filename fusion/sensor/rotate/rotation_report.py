@@ -34,6 +34,7 @@ from fusion.report.table import (
     text_column,
 )
 from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
+from fusion.sensor.rotate.rotation_poses import draw_poses, matrix_table, over_unit, poses_table
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RotationEvaluation,
@@ -42,8 +43,10 @@ from fusion.sensor.rotate.rotation_readings import (
     RotationScatter,
 )
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
-from shaker.static_rotation.harmonics import SourcedValue, turning_sense
-from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, FORCES, UNDETERMINED_SOURCE
+from shaker.static_rotation.harmonics import AngleFit, SourcedValue, turning_sense
+from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, UNDETERMINED_SOURCE
+from shaker.static_rotation.orientations import OrientationFit
+from shaker.static_rotation.weight_model import FORCES
 from shakercal._common.arrays import FloatArray
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
@@ -56,6 +59,7 @@ DIFFERENCES = (
     "load_mass_relative_deviation",
 )
 CENTRES = ("internal_centre_of_mass", "load_centre_of_mass", "load_centre_of_mass_deviation")
+STANDING = ("zero_angle", "axis_tilt", "frame_tilt", "sensor_in_flange")
 NORMALISED = "load_mass_normalised_deviation"
 SCALED = {"kg": (GRAM, "g"), "m": (MILLI, "mm"), "rad": (MILLI, "mrad")}
 """Factors and units in which differences and positions are shown."""
@@ -76,11 +80,6 @@ def _in_small_unit(q: RotationQuantity) -> tuple[float, float, str]:
     return scale * q.value, scale * q.expanded, unit
 
 
-def _over(label: str, unit: str) -> str:
-    """Return a label with its unit."""
-    return f"{label} / ({unit})" if "·" in unit else f"{label} / {unit}"
-
-
 def _term_name(name: str) -> str:
     """Return the name of a term, of cosine and sine together."""
     kind, _, rest = name.partition(" ")
@@ -88,17 +87,23 @@ def _term_name(name: str) -> str:
 
 
 def _further_terms(recording: RotationRecording) -> str:
-    """Return the names of the terms in addition to offset and first harmonic."""
-    return ", ".join(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
+    """Return the names of the terms in addition to offset and gravity."""
+    fit = recording.fit
+    always = fit.axes + 1 if isinstance(fit, OrientationFit) else 3
+    walk = ["random walk"] if fit.walk.any() else []
+    return ", ".join(dict.fromkeys([*(_term_name(name) for name in fit.terms[always:]), *walk]))
 
 
 def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
     """Yield offset, amplitudes, drift and sense of every load component, with u by the noise."""
     fit = recording.fit
+    if isinstance(fit, OrientationFit):
+        yield from _drifts(recording, fit)
+        return
     for i in recording.determined:
         row = recording.inverse[i]
-        coefficient, noise = fit.coefficient @ row, float(row @ fit.noise @ row)
-        u = np.sqrt(noise * np.diag(fit.inverse))
+        coefficient, covariance = fit.coefficient @ row, fit.combined(row)
+        u = np.sqrt(np.diag(covariance))
         for index, name in enumerate(fit.terms):
             value, spread = float(coefficient[index]), float(u[index])
             if name.startswith("sin "):
@@ -107,10 +112,22 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
                 pair = coefficient[index : index + 2]
                 value = float(np.hypot(*pair))
                 along = pair / value if value > 0.0 else np.array([1.0, 0.0])
-                spread = float(np.sqrt(noise * along @ fit.inverse[index : index + 2, index : index + 2] @ along))
+                spread = float(np.sqrt(along @ covariance[index : index + 2, index : index + 2] @ along))
             label = _term_name(name)
             head = (LOAD_UNITS[i], label.replace(" ", "_"), label, LOAD_COMPONENTS[i], recording.name)
             yield RotationQuantity(value, spread, fit.dof, *head, {})
+
+
+def _drifts(recording: RotationRecording, fit: OrientationFit) -> Iterator[RotationQuantity]:
+    """Yield the drift of every load component over half of a series of poses."""
+    if "drift" not in fit.terms:
+        return
+    own = slice(fit.terms.index("drift") * len(fit.channels), (fit.terms.index("drift") + 1) * len(fit.channels))
+    for i in recording.determined:
+        row = recording.inverse[i]
+        u = float(np.sqrt(row @ fit.combined[own, own] @ row))
+        head = (LOAD_UNITS[i], "drift", "drift", LOAD_COMPONENTS[i], recording.name)
+        yield RotationQuantity(float(fit.coefficient[fit.terms.index("drift")] @ row), u, fit.dof, *head, {})
 
 
 # Figures: readings over the angle with fit and residuals, and deviations from the weighed mass.
@@ -123,6 +140,8 @@ LOOKS = tuple(zip(COLOURS, ("circle", "square", "triangle"), strict=False))
 def draw_readings(recording: RotationRecording, indices: Sequence[int], kind: str) -> Figure:
     """Draw readings of some load components over the angle, with fit and residuals."""
     fit, calibration, unit = recording.fit, recording.inverse[indices], typeset(LOAD_UNITS[indices[0]])
+    if isinstance(fit, OrientationFit):
+        return draw_poses(recording, indices, kind)
     sense, angle = turning_sense(fit.angle_rad), np.radians(np.linspace(0.0, 360.0, 361))
     residual, fitted = fit.residual @ calibration.T, fit.curve(angle) @ calibration.T
     scale, letter = prefix(residual, coarse=False)
@@ -134,7 +153,7 @@ def draw_readings(recording: RotationRecording, indices: Sequence[int], kind: st
         _draw_points(upper, fit.angle_rad, sense, recording.load[:, index], LOOKS[c], name)
         _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, LOOKS[c], name)
     lower.rule(0.0, colour=LIGHT)
-    upper.y.label, lower.y.label = _over("load", unit), _over("residual", f"{letter}{unit}")
+    upper.y.label, lower.y.label = over_unit("load", unit), over_unit("residual", f"{letter}{unit}")
     upper.title, lower.title = f"{recording.name}: {kind}, readings and fit", "readings less fit"
     for panel in drawn.panels:
         panel.x.limits, panel.x.ticks = (-8.0, 368.0), tuple(np.arange(0.0, 361.0, 45.0).tolist())
@@ -256,7 +275,7 @@ def recordings_table(evaluation: RotationEvaluation) -> Table | None:
     columns: list[TableColumn[RotationRecording]] = [
         page_column("recording", lambda recording: recording.name, "l"),
         page_column("state", lambda recording: "load mounted" if recording.with_load else "without load", "l"),
-        page_column("readings", lambda recording: f"{len(recording.fit.angle_rad)}"),
+        page_column("readings", lambda recording: f"{len(recording.fit.reading)}"),
         *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in available),
         page_column("further terms", lambda recording: _further_terms(recording) or "none", "l"),
     ]
@@ -296,11 +315,12 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
     return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter_table is None else [scatter_table])]
 
 
-def harmonics_table(recording: RotationRecording, indices: Sequence[int]) -> Table:
+def harmonics_table(evaluation: RotationEvaluation, recording: RotationRecording, indices: Sequence[int]) -> Table:
     """Return the terms of some load components with U, small amplitudes as bounds."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
-    for q in _terms(recording):
+    offsets = [q for q in evaluation.quantities if (q.name, q.recording) == ("offset", recording.name)]
+    for q in (*offsets, *_terms(recording)):
         if q.component in components:
             bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
             cell = f"< {short(q.expanded)}" if bound_only else quantity_html(q.value, q.expanded)
@@ -308,11 +328,15 @@ def harmonics_table(recording: RotationRecording, indices: Sequence[int]) -> Tab
     calibration = recording.inverse[indices]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
     rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
-    back = np.abs(fit.reversal().difference @ calibration.T)
+    back = np.zeros((0, len(components)))
+    if isinstance(fit, AngleFit):
+        back = np.abs(fit.reversal().difference @ calibration.T)
     if len(back):
         rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
-    heads = [_over(component, typeset(LOAD_UNITS[indices[0]])) for component in components]
+    heads = [over_unit(component, typeset(LOAD_UNITS[indices[0]])) for component in components]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
+    if isinstance(fit, OrientationFit):
+        caption = f"{recording.name}: offset and drift over half of the series, with U"
     cells = tuple((label, *row) for label, row in rows.items())
     return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
 
@@ -326,9 +350,9 @@ def axis_table(evaluation: RotationEvaluation) -> Table | None:
         page_column("value / mrad", lambda q: quantity_html(*_in_small_unit(q)[:2])),
         page_column("k", lambda q: factor_text(q.k)),
     ]
-    standing = [q for q in evaluation.quantities if q.name in ("zero_angle", "axis_tilt")]
+    standing = [q for q in evaluation.quantities if q.name in STANDING]
     stood = [q for recording in evaluation.recordings for q in standing if q.recording == recording.name]
-    return table("The head as estimated, with U", columns, stood)
+    return table("Head or flange as estimated, with U", columns, stood)
 
 
 def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
@@ -373,8 +397,14 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
     for recording in evaluation.recordings:
         more = _further_terms(recording)
         weights = [q for q in _named(evaluation, "weight") if q.recording == recording.name]
-        read = f"{len(recording.fit.angle_rad)} readings, offset and first harmonic{f', also {more}' if more else ''}"
+        read = f"{len(recording.fit.reading)} readings, offset and first harmonic"
+        if isinstance(recording.fit, OrientationFit):
+            read = f"{len(recording.fit.count)} poses of {recording.fit.count.sum()} readings, offset and gravity"
+        read += f", also {more}" if more else ""
         yield f"{recording.name} ({recording.state}): {read}; weight {', '.join(map(number_text, weights))}"
+        offsets = [q for q in _named(evaluation, "offset") if q.recording == recording.name]
+        if offsets:
+            yield f"{recording.name}: offset {', '.join(map(number_text, offsets))}"
     by_label: dict[str, list[str]] = {}
     for q in _named(evaluation, *MASSES, *DIFFERENCES, *CENTRES):
         by_label.setdefault(q.label, []).append(number_text(q))
@@ -402,9 +432,11 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
         "centres": centres_table(evaluation),
         "deviations": [figure for figure in [draw_deviations(evaluation)] if figure is not None],
         "recordings": recordings_table(evaluation),
+        "poses": poses_table(evaluation),
+        "matrix": matrix_table(evaluation),
         "repeats": repeats_tables(evaluation),
         "readings": [draw_readings(recording, indices, kind) for recording, kind, indices in groups],
-        "harmonics": [harmonics_table(recording, indices) for recording, _, indices in groups],
+        "harmonics": [harmonics_table(evaluation, recording, indices) for recording, _, indices in groups],
         "axis": axis_table(evaluation),
         "budgets": budget_tables(evaluation),
         "surroundings": surroundings_table(evaluation),
@@ -439,9 +471,11 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         item.attrs["with_load"] = recording.with_load
         write_value(item, "unit", recording.unit)
         write_value(item, "load", recording.load)
-        write_fields(item, recording.fit)
+        for name in vars(recording.fit):
+            if name not in ("rounding", "effects", "estimator", "spread"):
+                write_value(item, name, getattr(recording.fit, name))
     weights, group = evaluation.weights, file.create_group("weights", track_order=True)
-    for name in ("names", "value", "covariance", "load", "chi_squared", "dof", "departure"):
+    for name in ("names", "value", "covariance", "load", "chi_squared", "dof", "departure", "moment_departure"):
         write_value(group, name, getattr(weights, name))
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:
