@@ -215,7 +215,7 @@ def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notic
             notices += [notice for images in set_up.images for notice in images.notices]
             notices += [notice for channel in with_channels(set_up, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
-        from fusion.sensor.transfer.transfer_evaluation import estimate_transfer
+        from fusion.sensor.transfer.transfer_estimate import estimate_transfer
         from fusion.sensor.transfer.transfer_records import TransferSettings, read_synchronous
 
         for together in read_synchronous(manifest):

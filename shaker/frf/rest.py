@@ -34,11 +34,12 @@ RecordEnd = Literal["beginning", "end"]
 class RestError(ValueError):
     """A record that is not at rest at an end.
 
-    `channel`: the channel that moves; `end`: "beginning" or "end"; `level`: its level there over its largest level.
+    `channel`: the channel that moves; `end`: "beginning" or "end"; `level`: its level there over its largest level;
+    `record`: number of the record, from 0.
     """
 
-    def __init__(self, channel: str, end: RecordEnd, level: float) -> None:
-        self.channel, self.end, self.level = channel, end, level
+    def __init__(self, channel: str, end: RecordEnd, level: float, record: int = 0) -> None:
+        self.channel, self.end, self.level, self.record = channel, end, level, record
         super().__init__(
             f"record: expected rest at its {end}, found {channel} at {100.0 * level:.2g} % of its largest level"
         )
@@ -62,15 +63,16 @@ class Burst:
         return self.samples[: int(_BEFORE * self.first)], self.samples[(self.last + len(self.samples)) // 2 :]
 
 
-def find_bursts(record: TransferRecord, highest_hz: float) -> tuple[Burst, ...]:
+def find_bursts(record: TransferRecord, highest_hz: float, number: int = 0) -> tuple[Burst, ...]:
     """Return the parts of a record from rest to rest: one, or several of similar length between pauses.
 
-    `highest_hz`: highest frequency of the excitation; noise above twice it does not hide where it begins. Raises `RestError` where the record does not begin and end at rest.
+    `highest_hz`: highest frequency of the excitation; noise above twice it does not hide where it begins. Raises
+    `RestError` with `number` where the record does not begin and end at rest.
     """
     samples = np.column_stack([record.reference, record.responses])
     names = (record.reference_name, *record.channels)
     size = max(_FEWEST_SAMPLES, len(samples) // _BLOCKS)
-    active = _active_blocks(_low_pass(samples, highest_hz / record.sample_rate_hz), size, names)
+    active = _active_blocks(_low_pass(samples, highest_hz / record.sample_rate_hz), size, names, number)
     runs = runs_of(active)
     pause = max(_END_BLOCKS, int(_PAUSE * len(active)))
     # Runs of active blocks with shorter pauses are one burst.
@@ -87,7 +89,7 @@ def find_bursts(record: TransferRecord, highest_hz: float) -> tuple[Burst, ...]:
     )
 
 
-def _active_blocks(samples: FloatArray, size: int, names: Sequence[str]) -> BoolArray:
+def _active_blocks(samples: FloatArray, size: int, names: Sequence[str], number: int) -> BoolArray:
     """Return which blocks (B,) of `size` samples are active in any channel (1 + C).
 
     The last block has the remaining samples too.
@@ -107,7 +109,7 @@ def _active_blocks(samples: FloatArray, size: int, names: Sequence[str]) -> Bool
         )
         for where, here, there in ends:
             if (c == 0 and here > _QUIET * largest[c]) or here > max(_ALIKE * there, _MOVES * largest[c]):
-                raise RestError(name, where, float(here / largest[c]))
+                raise RestError(name, where, float(here / largest[c]), number)
     return np.asarray(np.any(level > np.maximum(_ACTIVE * np.sqrt(0.5 * (begin**2 + end**2)), floor), axis=1))
 
 
@@ -266,7 +268,7 @@ def burst_spectra(
         noise=noise.at(frequency / rate_hz) + np.diag(len(bursts) * rounded),
         dof=noise.dof,
         spacing_hz=step * finest,
-        line_correlation=_interpolated(step * np.mean([len(burst.samples) for burst in bursts]) / length),
+        line_correlation=_interpolated(step * float(np.mean([len(burst.samples) for burst in bursts])) / length),
         ringing=_ringing(bursts, rate_hz, band_hz),
     )
 
@@ -341,7 +343,8 @@ def _ringing(bursts: Sequence[Burst], rate_hz: float, band_hz: tuple[float, floa
     )
     for end, outer, inner, opposite in ends:
         noise = rest_noise(opposite)
-        level = np.einsum("fdd->fd", noise.at(frequency[inside] / rate_hz)).real * np.sum(window**2)
+        power_at_rest = noise.at(np.asarray(frequency[inside] / rate_hz, dtype=np.float64))
+        level: FloatArray = np.asarray(np.diagonal(power_at_rest, axis1=1, axis2=2).real * np.sum(window**2))
         tiny = np.finfo(np.float64).tiny
         level = np.maximum(level, tiny)
         line, before = power(outer), power(inner)

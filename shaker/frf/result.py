@@ -151,10 +151,12 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     """
     from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-    lines = reference.shape[1]
-    magnitude = np.abs(reference.mean(axis=0))
-    # The standard uncertainty of the mean over periods, of both quadratures together, from lines nearby.
-    scatter = np.sum(np.abs(reference - reference.mean(axis=0)) ** 2, axis=0) / (len(reference) - 1)
+    lines, mean = reference.shape[1], reference.mean(axis=0)
+    magnitude = np.abs(mean)
+    # The standard uncertainty of the mean over periods, of both quadratures together, from lines nearby. A level that
+    # changes from period to period is no noise.
+    level = np.sum(reference * mean.conj(), axis=1) / max(float(np.sum(magnitude**2)), np.finfo(np.float64).tiny)
+    scatter = np.sum(np.abs(reference - level[:, None] * mean) ** 2, axis=0) / (len(reference) - 1)
     smooth = uniform_filter1d(scatter, size=min(2 * _NEARBY + 1, lines), mode="nearest")
     signal = magnitude > _SIGNAL * np.sqrt(np.maximum(smooth, scatter) / len(reference))
     nearby = maximum_filter1d(magnitude, size=min(2 * _NEARBY + 1, lines), mode="nearest")

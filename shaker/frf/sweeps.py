@@ -84,7 +84,7 @@ def transfer_from_rest(
     _check_alike(records)
     rate = first.sample_rate_hz
     band = (0.0, _HIGHEST * rate) if band_hz is None else (max(0.0, band_hz[0]), min(0.5 * rate, band_hz[1]))
-    bursts = [burst for record in records for burst in find_bursts(record, band[1])]
+    bursts = [burst for number, record in enumerate(records) for burst in find_bursts(record, band[1], number)]
     spectra = burst_spectra(bursts, rate, spacing_hz, band)
     power = np.sum(np.abs(spectra.value[:, :, 0]) ** 2, axis=0)
     excited = power > np.maximum(_SIGNAL**2 * spectra.noise[:, 0, 0].real, 0.0)
@@ -200,7 +200,7 @@ def _estimate(spectra: BurstSpectra) -> _Estimate:
 def _total_variance(covariance: FloatArray) -> FloatArray:
     """Return the variances of real and imaginary part together (K, C) of covariances (K, 2C, 2C)."""
     variance = np.einsum("kcc->kc", covariance)
-    return variance[:, : variance.shape[1] // 2] + variance[:, variance.shape[1] // 2 :]
+    return np.asarray(variance[:, : variance.shape[1] // 2] + variance[:, variance.shape[1] // 2 :])
 
 
 def _total_least_squares(

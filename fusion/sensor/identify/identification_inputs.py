@@ -22,7 +22,7 @@ from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
 from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
-from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
+from fusion.sensor.transfer.transfer_records import REPEAT, FoundResonance, ReferenceResult, TransferSettings
 from shaker.identification.measured_curves import (
     REFERENCE_INDEX,
     Bending,
@@ -456,7 +456,7 @@ def _load_over_base(
     errors = []
     for error in result.errors:
         relative = error.relative[:, columns] * (-1.0 if error.name.endswith(": delay") else 1.0)
-        name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
+        name = f"{error.name} [{recording}]" if error.name.startswith((CLOCK, REPEAT)) else error.name
         if np.any(relative != 0.0):
             errors.append(CurveError(name, relative[chosen]))
     return ratio.at_lines(chosen), tuple(errors)

@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.errors import ARGUMENT, InputError
+from fusion.errors import ARGUMENT
 from fusion.instruments.channel import scale_is_stated
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensor import response_notices as declared
+from fusion.sensor.transfer.transfer_estimate import estimate_transfer
 from fusion.sensor.transfer.transfer_records import (
+    REPEAT,
     ChannelChain,
     FoundResonance,
     Quantity,
@@ -26,89 +28,16 @@ from fusion.sensor.transfer.transfer_records import (
     channel_chain,
     ratio_errors,
     read_synchronous,
+    repeat_errors,
 )
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences, stated_influences
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
-from shaker.frf.impact import transfer_impact
-from shaker.frf.periodic import transfer_periodic
-from shaker.frf.random import transfer_random
-from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.frf.result import TransferFunction
 from shaker.identification.measured_curves import CurveError, MeasuredCurve
 from shaker.identification.oscillator import Resonance, ResonanceKind, fit_resonance
 from shaker.labels import MOTION_UNITS
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
-
-_SEGMENTS = 16  # segments of a record if no line spacing is requested
-_BLOW_S = 1.0  # window around a blow if no line spacing is requested
-_KEYS = {
-    "period_s": "excitation.period",
-    "band_hz": "excitation.band",
-    "record": "excitation.reference",
-    "reference": "excitation.reference",
-    "resolution_hz": "--resolution",
-    "duration_s": "--resolution",
-}
-"""Keys and options of the arguments that an estimate may refuse."""
-
-
-def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings: TransferSettings) -> TransferFunction:
-    """Return the transfer functions as recorded, by the selected estimator or that of the excitation.
-
-    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Otherwise local
-    polynomials, or averaged spectra of overlapping segments. Raises `InputError` at the key or the option to correct.
-    """
-    excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
-    repeats = excitation.period is not None or excitation.kind == "multisine"
-    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
-    if periodic and excitation.period is None:
-        expected = "the period in s, which the periodic estimate requires"
-        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
-    try:
-        if periodic and excitation.period is not None:
-            return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
-        found = _averaged(manifest, record, settings, band)
-    except ValueError as error:
-        argument = str(error).partition(":")[0]
-        if periodic and argument == "record":
-            key, found_s, channel = "excitation.period", excitation.period or 0.0, record.reference_name
-            raise InputError(
-                declared.PERIOD_WITHOUT_SIGNAL, manifest.path, key, found_s=found_s, channel=channel
-            ) from error
-        raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
-    if excitation.kind != "chirp" or excitation.period is not None:
-        return found
-    return replace(found, notices=(*found.notices, Notice(declared.CHIRP_WITHOUT_PERIOD, "excitation.period")))
-
-
-def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
-    """Return the band to evaluate: the excitation's, and no more than the samples allow."""
-    band, highest = manifest.excitation.band, together.aligned.highest_hz
-    if highest is None:
-        return band
-    if band is not None and band[0] >= highest:
-        path, (low_hz, high_hz) = manifest.path, band
-        raise InputError(
-            declared.BAND_ABOVE_LIMIT, path, "excitation.band", limit_hz=highest, low_hz=low_hz, high_hz=high_hz
-        )
-    return (0.0, highest) if band is None else (band[0], min(band[1], highest))
-
-
-def _averaged(
-    manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
-) -> TransferFunction:
-    """Return the transfer functions from averaged spectra of blows or segments, after settling."""
-    excitation, estimator = manifest.excitation, "auto" if settings.estimator == "periodic" else settings.estimator
-    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
-    record = replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
-    length_s = len(record.reference) / record.sample_rate_hz
-    if excitation.kind == "impact":
-        window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
-        advised = "auto" if estimator == "local" else estimator
-        return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
-    resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
-    return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
-
 
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
 
@@ -321,13 +250,13 @@ def _evaluated(
     """Return the transfer functions over one reference with their notices."""
     raw = estimate_transfer(manifest, together, settings)
     reference, *responses = (channel_chain(channel, raw.ratio.frequency_hz) for channel in together.aligned.channels)
-    errors = ratio_errors(reference, responses)
+    errors, repeats = ratio_errors(reference, responses), repeat_errors(raw)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
     moved = reference.entry.quantity in TRANSDUCERS
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
     influences = stated_influences(manifest.rig, [manifest.mounting])
-    resonances, peak_notices = find_resonances(corrected, errors, kinds, together.u_clock, influences)
+    resonances, peak_notices = find_resonances(corrected, (*errors, *repeats), kinds, together.u_clock, influences)
     ratio = corrected.ratio
     if errors:
         common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
@@ -336,10 +265,20 @@ def _evaluated(
         name=reference.entry.name,
         transfer=replace(corrected, ratio=ratio),
         random_covariance=corrected.ratio.covariance,
-        errors=errors,
-        resonances=resonances,
+        errors=(*errors, *repeats),
+        resonances=tuple(_with_one_repeatability(found) for found in resonances),
     )
     return result, [*together.aligned.notices, *raw.notices, *peak_notices, *_unstated_scales([reference, *responses])]
+
+
+def _with_one_repeatability(found: FoundResonance) -> FoundResonance:
+    """Return a resonance with the effects of all repeats as one line of its budget."""
+    of_repeats = [change for name, change in found.budget.items() if name.startswith(REPEAT)]
+    if not of_repeats:
+        return found
+    others = {name: change for name, change in found.budget.items() if not name.startswith(REPEAT)}
+    by_frequency, by_damping = np.sqrt(np.sum(np.square(of_repeats), axis=0))
+    return replace(found, budget={**others, "repeatability": (float(by_frequency), float(by_damping))})
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:

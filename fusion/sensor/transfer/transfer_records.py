@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -29,7 +29,7 @@ from shaker.timebase.tie import ClockTie
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
-EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
+EstimatorChoice = Literal["auto", "rest", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
 LASTING = ("noise", "multisine")
 """Kinds of excitation that never rest."""
@@ -43,7 +43,7 @@ class TransferSettings:
 
     Attributes
     ----------
-    estimator : "auto" (default), "periodic", "local", "H1", "H2" or "Hv".
+    estimator : "auto" (default), "rest", "periodic", "local", "H1", "H2" or "Hv".
     resolution_hz : line spacing of averaged spectra in Hz; None derives it from the length of the record.
     quantity : "displacement", "velocity" or "acceleration" of every motion; None keeps the measured quantity.
 
@@ -95,7 +95,7 @@ class ReferenceResult:
     ----------
     transfer : corrected for delays and responses, as the requested quantity, with the covariance of all errors.
     random_covariance : (K, 2C, 2C) of the noise only.
-    errors : errors common to all lines.
+    errors : errors common to all lines; of repeats that differ, the effect of each, which `transfer` has in its noise.
     resonances : resonances of the curves.
     """
 
@@ -113,6 +113,16 @@ class TransferEvaluation(CommandEvaluation):
     manifest: Manifest
     references: tuple[ReferenceResult, ...]
     clocks: tuple[ClockResult, ...]
+
+
+REPEAT = "repeat "
+"""Prefix of the names of the effects of repeats."""
+
+
+def repeat_errors(transfer: TransferFunction) -> tuple[CurveError, ...]:
+    """Return the effect of each repeat on all lines, where repeats differ by more than their noise."""
+    effects = () if transfer.repeat_effects is None else transfer.repeat_effects
+    return tuple(CurveError(f"{REPEAT}{number}", effect) for number, effect in enumerate(effects, 1))
 
 
 # Errors that act on all lines of a transfer function at once: scale, delay, chain response, clock.
@@ -229,12 +239,13 @@ class LocatedChannel:
 class SynchronousRecord:
     """One reference and its responses, `aligned` in this order, with their `samples` on one grid.
 
-    `u_clock`: relative standard uncertainty of the clock that counts the time.
+    `u_clock`: relative standard uncertainty of the clock that counts the time. `repeats`: the samples of further files.
     """
 
     aligned: AlignedChannels
     samples: TransferRecord
     u_clock: float
+    repeats: tuple[TransferRecord, ...] = ()
 
 
 def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
@@ -269,9 +280,29 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
             raise InputError(
                 declared.WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected
             )
-    records = read_daqs(manifest)
     selected = [by_name[name][0] for name in named]
-    return tuple(_together(manifest, records, [by_name[name][0], *selected]) for name in excitation.reference)
+    first, *further = (
+        [_together(part, records, [by_name[name][0], *selected]) for name in excitation.reference]
+        for part, records in ((part, read_daqs(part)) for part in _repeats(manifest))
+    )
+    return tuple(_joined(together, repeats) for together, *repeats in zip(first, *further, strict=True))
+
+
+def _repeats(manifest: Manifest) -> Iterator[Manifest]:
+    """Yield the manifest, and again with the files of every repeat."""
+    yield manifest
+    for number in range(len(manifest.daq[0].further_files)):
+        daq = tuple(daq.model_copy(update={"file": daq.further_files[number]}) for daq in manifest.daq)
+        yield replace(manifest, daq=daq)
+
+
+def _joined(together: SynchronousRecord, repeats: Sequence[SynchronousRecord]) -> SynchronousRecord:
+    """Return the first record with the samples and the notices of all repeats."""
+    notices = dict.fromkeys(notice for record in (together, *repeats) for notice in record.aligned.notices)
+    limits = [record.aligned.highest_hz for record in (together, *repeats)]
+    highest_hz = min((limit for limit in limits if limit is not None), default=None)
+    aligned = replace(together.aligned, notices=tuple(notices), highest_hz=highest_hz)
+    return replace(together, aligned=aligned, repeats=tuple(record.samples for record in repeats))
 
 
 def _together(
