@@ -305,7 +305,7 @@ ESTIMATOR_FEW_HITS = DeclaredNotice(
 # Transfer functions from records that begin and end at rest.
 
 REST_ESTIMATE = DeclaredNotice(
-    "SC-900",
+    "SC-337",
     "note",
     "The transfer function at {lines} lines {spacing_hz:.6g} Hz apart is estimated from {repeats} repeats in {records} "
     "records, each from rest to rest.",
@@ -313,7 +313,7 @@ REST_ESTIMATE = DeclaredNotice(
     link="transfer.md",
 )
 SINGLE_REPEAT = DeclaredNotice(
-    "SC-901",
+    "SC-338",
     "warning",
     "There is one record from rest to rest only.",
     effect="U includes the noise at rest, but not the repeatability of the measurement.",
@@ -329,7 +329,7 @@ REPEATS_DIFFER = DeclaredNotice(
     link="transfer.md",
 )
 AMPLITUDE_DEPENDENCE = DeclaredNotice(
-    "SC-903",
+    "SC-909",
     "warning",
     "Between {low_hz:.6g} and {high_hz:.6g} Hz repeats whose levels differ by a factor of {factor:.3g} scatter by "
     "{percent:.2g} %, {times:.2g} times their noise.",
@@ -338,7 +338,7 @@ AMPLITUDE_DEPENDENCE = DeclaredNotice(
     link="transfer.md",
 )
 RINGS_AT_END = DeclaredNotice(
-    "SC-904",
+    "SC-339",
     "warning",
     "The signal still moves at {frequency_hz:.4g} Hz at the {end} of the record.",
     effect="Lines near this frequency may be wrong by {share_percent:.2g} %, which U does not include.",

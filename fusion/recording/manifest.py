@@ -309,7 +309,10 @@ def _repeats(value: object, info: ValidationInfo) -> tuple[Path, ...]:
 
 
 class Daq(ManifestBlock):
-    """One DAQ file with one clock, and further files of the same channels: `repeats` of one measurement."""
+    """One DAQ file with one clock.
+
+    `repeats`: further files of the same channels, of the same measurement.
+    """
 
     name: Text
     file: Annotated[ExistingFile, AfterValidator(_daq_suffix)]

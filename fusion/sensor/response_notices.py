@@ -74,7 +74,7 @@ CHIRP_WITHOUT_PERIOD = DeclaredNotice(
     link="transfer.md",
 )
 NOT_FROM_REST = DeclaredNotice(
-    "SC-905",
+    "SC-697",
     "error",
     "expected a record that begins and ends at rest, found motion of {percent:.2g} % of its largest level at the {end}",
     effect="Only records from rest to rest are joined as repeats.",
@@ -82,7 +82,7 @@ NOT_FROM_REST = DeclaredNotice(
     link="transfer.md",
 )
 EVALUATED_AS_NOISE = DeclaredNotice(
-    "SC-906",
+    "SC-698",
     "warning",
     "The chirp is evaluated as noise, because the signal moves at {percent:.2g} % of its largest level at the {end} of "
     "the record.",

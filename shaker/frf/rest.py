@@ -1,4 +1,4 @@
-"""Records that begin and end at rest: where they are active, their noise, their spectra without leakage."""
+"""Bursts in records that begin and end at rest: noise, and spectra without leakage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FEWEST_SAMPLES = 8  # of a block
 _END_BLOCKS = 4  # blocks at either end that show the level at rest
 _ACTIVE = 3.0  # times the level at rest from which a block is active
 _QUIET = 0.15  # of the largest level of the reference: its level at the ends of a record with rest
-_ALIKE = 3.0  # ratio of the levels at both ends that noise at rest does not exceed
+_SAME_LEVEL = 3.0  # ratio of the levels at both ends that noise at rest does not exceed
 _MOVES = 0.01  # of the largest level of a channel: where its ends differ by more, it is not at rest
 _ENDS = 32  # samples at either end that show the offset
 _HIDDEN = 1e-5  # of the largest level, below which no motion matters
@@ -47,9 +47,9 @@ class RestError(ValueError):
 
 @dataclass(frozen=True)
 class Burst:
-    """Samples (N, 1 + C) from rest to rest without offset, reference first; active from `first` to before `last`.
+    """Samples (N, 1 + C) from rest to rest without offset, reference first.
 
-    `step`: steps (1 + C,) of the converter, 0 where none are seen.
+    They are active from `first` to before `last`. `step`: steps (1 + C,) of the converter, 0 where none are seen.
     """
 
     samples: FloatArray
@@ -59,15 +59,15 @@ class Burst:
 
     @property
     def rests(self) -> tuple[FloatArray, FloatArray]:
-        """Samples at rest: most of those before, and the later half of those after, where less rings unseen."""
+        """Samples at rest: before, and the later half after, where less rings unseen."""
         return self.samples[: int(_BEFORE * self.first)], self.samples[(self.last + len(self.samples)) // 2 :]
 
 
 def find_bursts(record: TransferRecord, highest_hz: float, number: int = 0) -> tuple[Burst, ...]:
-    """Return the parts of a record from rest to rest: one, or several of similar length between pauses.
+    """Return the parts of a record from rest to rest, separated by pauses.
 
-    `highest_hz`: highest frequency of the excitation; noise above twice it does not hide where it begins. Raises
-    `RestError` with `number` where the record does not begin and end at rest.
+    Parts of different lengths are one. `highest_hz`: highest frequency of the excitation; noise above twice it does not
+    hide where it begins. Raises `RestError` with `number` where the record does not begin and end at rest.
     """
     samples = np.column_stack([record.reference, record.responses])
     names = (record.reference_name, *record.channels)
@@ -108,7 +108,7 @@ def _active_blocks(samples: FloatArray, size: int, names: Sequence[str], number:
             ("end", end[c], begin[c]),
         )
         for where, here, there in ends:
-            if (c == 0 and here > _QUIET * largest[c]) or here > max(_ALIKE * there, _MOVES * largest[c]):
+            if (c == 0 and here > _QUIET * largest[c]) or here > max(_SAME_LEVEL * there, _MOVES * largest[c]):
                 raise RestError(name, where, float(here / largest[c]), number)
     return np.asarray(np.any(level > np.maximum(_ACTIVE * np.sqrt(0.5 * (begin**2 + end**2)), floor), axis=1))
 
@@ -141,7 +141,10 @@ _OVERLAP_LOSS = 1.9  # lines of a Hann window per independent one
 
 @dataclass(frozen=True)
 class RestNoise:
-    """Noise spectra (F, D, D) per sample at frequencies (F,) in cycles per sample, with degrees of freedom."""
+    """Noise spectra `power` (F, D, D) per sample, with degrees of freedom.
+
+    `frequency` (F,): cycles per sample.
+    """
 
     frequency: FloatArray
     power: ComplexArray
@@ -158,9 +161,10 @@ class RestNoise:
 
 
 def rest_noise(rests: Sequence[FloatArray]) -> RestNoise:
-    """Return the noise spectra of pieces (N, D) at rest: Hann segments of the shortest one, averaged.
+    """Return the noise spectra of pieces (N, D) at rest.
 
-    Neighbouring lines are averaged until the degrees of freedom suffice.
+    Hann segments of the length of the shortest piece are averaged, and neighbouring lines until the degrees of freedom
+    suffice.
     """
     length = min(len(rest) for rest in rests)
     segments = [
@@ -233,7 +237,7 @@ class BurstSpectra:
 def burst_spectra(
     bursts: Sequence[Burst], rate_hz: float, spacing_hz: float | None, band_hz: tuple[float, float]
 ) -> BurstSpectra:
-    """Return the spectra of bursts at lines `spacing_hz` apart; default: one over the longest burst."""
+    """Return the spectra of bursts at lines `spacing_hz` apart (default: one over the longest)."""
     finest = rate_hz / max(len(burst.samples) for burst in bursts)
     step = 1  # lines of the transform from one line to the next
     if spacing_hz is not None:
@@ -274,7 +278,10 @@ def burst_spectra(
 
 
 def _interpolated(share: float) -> ComplexArray:
-    """Return the correlation of the noise of lines 0, 1, 2 … apart, whose spacing is a share of one over the length."""
+    """Return the correlation of the noise of lines 0, 1, 2 … apart.
+
+    `share`: their spacing relative to one over the length of the record.
+    """
     if share > 1.0 - _NEARLY:
         return np.ones(1, dtype=np.complex128)
     lag = np.arange(int(_LOBES / share) + 1)
@@ -288,7 +295,7 @@ def _centred(rests: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _window(burst: Burst) -> FloatArray:
-    """Return a window (N, 1): 1 over the motion, with cosine flanks at the outer ends of both rests."""
+    """Return a window (N, 1): 1 over the motion, with cosine flanks in both rests."""
     length = len(burst.samples)
     index = np.arange(length)
     rise, fall = (max(1.0, _FLANK * rest) for rest in (burst.first, length - burst.last))
@@ -304,7 +311,7 @@ _SLOWEST = 0.95  # ratio of the amplitudes of two pieces above which a decay is 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Motion beyond an end of the records: channel, end, frequency, and its share of the spectrum there."""
+    """Motion beyond an end of the records, as a share of the spectrum."""
 
     channel: int
     end: RecordEnd
@@ -313,7 +320,7 @@ class Ringing:
 
 
 def _ringing(bursts: Sequence[Burst], rate_hz: float, band_hz: tuple[float, float]) -> tuple[Ringing, ...]:
-    """Return the most significant line in the spectrum of either end, per channel, if any is significant."""
+    """Return the most significant line at either end of every channel, if significant."""
     from scipy.special import fdtri
 
     length = min(len(rest) for burst in bursts for rest in burst.rests)

@@ -1,4 +1,4 @@
-"""Transfer functions from records that begin and end at rest, each one period: sweeps, bursts, pulses."""
+"""Transfer functions from records that begin and end at rest: sweeps, bursts, pulses."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def transfer_from_rest(
     spacing_hz: float | None = None,
     band_hz: tuple[float, float] | None = None,
 ) -> TransferFunction:
-    """Return H from records that begin and end at rest, each a repeat of one measurement.
+    """Return H from records that begin and end at rest, repeats of one measurement.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def transfer_from_rest(
     TransferFunction(rest over force: Phasors(1481 lines from 20 to 390 Hz: z [m/N]))
     """
     first = records[0]
-    _check_alike(records)
+    _check_same_channels(records)
     rate = first.sample_rate_hz
     band = (0.0, _HIGHEST * rate) if band_hz is None else (max(0.0, band_hz[0]), min(0.5 * rate, band_hz[1]))
     bursts = [burst for number, record in enumerate(records) for burst in find_bursts(record, band[1], number)]
@@ -114,7 +114,7 @@ def transfer_from_rest(
     )
 
 
-def _check_alike(records: Sequence[TransferRecord]) -> None:
+def _check_same_channels(records: Sequence[TransferRecord]) -> None:
     """Refuse records of other channels or another sampling rate."""
     first = records[0]
     for record in records[1:]:
@@ -131,12 +131,12 @@ def _check_alike(records: Sequence[TransferRecord]) -> None:
 
 _ROUNDS = 3  # of scatter and weights; they change little after the second
 _NEIGHBOURS = 4  # lines on either side over which the repeatability is averaged
-_MOST_CORRELATED = 64  # lines over which deviations of repeats correlate, at most
+_MOST_CORRELATED = 2000  # lines over which deviations of repeats correlate, at most
 _CERTAIN = 3.0  # standard deviations from which a correlation is significant
 
 
 @dataclass(frozen=True)
-class _Estimate:
+class _JoinedRepeats:
     """Ratio (K, C) with covariance (K, 2C, 2C), and what the repeats show.
 
     Attributes
@@ -155,7 +155,7 @@ class _Estimate:
     dof: FloatArray
 
 
-def _estimate(spectra: BurstSpectra) -> _Estimate:
+def _estimate(spectra: BurstSpectra) -> _JoinedRepeats:
     """Return the maximum-likelihood ratio, with weights by noise and repeatability."""
     reference, responses = spectra.value[:, :, 0], spectra.value[:, :, 1:]
     level = np.maximum(np.abs(reference) ** 2, np.finfo(np.float64).tiny ** 0.5)
@@ -175,8 +175,8 @@ def _estimate(spectra: BurstSpectra) -> _Estimate:
             # Smooth deviations pass through zero: what lines farther away show holds there too.
             larger = np.trace(near, axis1=1, axis2=2) > np.trace(far, axis1=1, axis2=2)
             repeatability = np.where(larger[:, None, None], near, far)
-            independent = (2 * _NEIGHBOURS + 1) / np.where(larger, length, 1.0)
-            dof_repeats = (count - 1) * np.maximum(independent, 1.0)
+            pooled = np.where(larger, 2 * _NEIGHBOURS + 1, min(2 * wide + 1, lines))
+            dof_repeats = (count - 1) * np.maximum(pooled / length, 1.0)
             weight = variance / (variance + _total_variance(repeatability))
     share = weight * level[:, :, None]
     share = share / np.sum(share, axis=0)
@@ -194,11 +194,11 @@ def _estimate(spectra: BurstSpectra) -> _Estimate:
     turn[:, index, index % channels + channels] = across
     covariance = turn @ (by_noise + by_repeats) @ turn.swapaxes(1, 2)
     common = share * deviation * np.sqrt(np.maximum(1.0 - 1.0 / excess, 0.0))
-    return _Estimate(ratio, covariance, common, repeatability, excess, dof.min(axis=1))
+    return _JoinedRepeats(ratio, covariance, common, repeatability, excess, dof.min(axis=1))
 
 
 def _total_variance(covariance: FloatArray) -> FloatArray:
-    """Return the variances of real and imaginary part together (K, C) of covariances (K, 2C, 2C)."""
+    """Return the variance (K, C) of both parts together of covariances (K, 2C, 2C)."""
     variance = np.einsum("kcc->kc", covariance)
     return np.asarray(variance[:, : variance.shape[1] // 2] + variance[:, variance.shape[1] // 2 :])
 
@@ -206,7 +206,7 @@ def _total_variance(covariance: FloatArray) -> FloatArray:
 def _total_least_squares(
     reference: ComplexArray, responses: ComplexArray, noise: ComplexArray, weight: FloatArray
 ) -> ComplexArray:
-    """Return H (K, C) that minimises Σ w·|Y - HX|²/(error variance of Y - HX) over repeats (M, K)."""
+    """Return H (K, C) that minimises Σ w·|Y - HX|²/var(Y - HX) over repeats (M, K)."""
     tiny = np.finfo(np.float64).eps ** 2
     power = np.sum(weight * np.abs(reference[:, :, None]) ** 2, axis=0)
     cross = np.sum(weight * responses * reference.conj()[:, :, None], axis=0)
@@ -241,10 +241,11 @@ def _error_covariance(noise: ComplexArray, ratio: ComplexArray) -> ComplexArray:
 def _repeatability(
     deviation: ComplexArray, error: ComplexArray, level: FloatArray, before: FloatArray, side: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (K, 2C, 2C) of deviations beyond the noise, and the scatter over that of the noise (K, C).
+    """Return the covariance (K, 2C, 2C) of deviations beyond the noise, and their excess.
 
-    The expected scatter Σ w d dᵀ, w ∝ level, is (M - 1)·noise/Σ level + (1 - Σ w²)·T. Its excess is averaged over
-    neighbouring lines, which count by the precision of theirs, with T of the round `before`.
+    The excess (K, C) is the scatter over that of the noise. Expected is a scatter Σ w d dᵀ, w ∝ level, of
+    (M - 1)·noise/Σ level + (1 - Σ w²)·T. What it exceeds the noise by is averaged over neighbouring lines, which count
+    by the precision of theirs, with T of the round `before`.
     """
     count, total = len(level), level.sum(axis=0)
     share = level / total
@@ -276,7 +277,7 @@ def _correlated_lines(deviation: ComplexArray, repeatability: FloatArray, noise:
     lines = len(repeatability)
     scaled = deviation / np.sqrt(noise + _total_variance(repeatability))
     scaled = scaled - scaled.mean(axis=0)
-    largest = min(_MOST_CORRELATED, lines // 4)
+    largest = min(_MOST_CORRELATED, lines // 2)
     products = np.array([np.sum(scaled[:, d:] * scaled[:, : lines - d].conj()) for d in range(largest + 1)])
     found = np.abs(products) / max(float(products[0].real), np.finfo(np.float64).tiny)
     small = np.flatnonzero(found < _CERTAIN / np.sqrt((len(deviation) - 1) * lines * deviation.shape[2]))
@@ -290,7 +291,7 @@ _BLOCK = 2 * _NEIGHBOURS + 1
 _DIFFERENT_LEVELS = 1.2  # ratio of levels of the excitation
 
 
-def _notices(record: TransferRecord, spectra: BurstSpectra, estimate: _Estimate, files: int) -> tuple[Notice, ...]:
+def _notices(record: TransferRecord, spectra: BurstSpectra, estimate: _JoinedRepeats, files: int) -> tuple[Notice, ...]:
     """Return the notices of an estimate from repeats."""
     repeats, name = len(spectra.value), record.reference_name
     lines, spacing = len(spectra.frequency_hz), spectra.spacing_hz
@@ -345,8 +346,8 @@ def _differs(excess: FloatArray, repeats: int, noise_dof: float) -> BoolArray:
     return np.asarray((repeats > 1) & (fdtrc(dof, noise_dof, excess) < _UNLIKELY / blocks))
 
 
-def _repeat_effects(estimate: _Estimate, noise_dof: float) -> ComplexArray | None:
-    """Return the effect of each repeat (M, K, C) on the mean, where repeats differ by more than their noise.
+def _repeat_effects(estimate: _JoinedRepeats, noise_dof: float) -> ComplexArray | None:
+    """Return the effect (M, K, C) of repeats that differ by more than noise.
 
     Their root sum of squares is the standard uncertainty of the mean of M repeats, enlarged for its M - 1 degrees of
     freedom so that twice it covers 95 %. All lines of one repeat deviate together: a resonance that moves, moves in

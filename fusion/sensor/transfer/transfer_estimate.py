@@ -84,7 +84,7 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
 def _at_rest(
     manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
 ) -> tuple[TransferFunction | None, RestError | None]:
-    """Return the estimate from rest to rest where it suits the excitation, or why a chirp has none.
+    """Return the estimate from rest to rest, or why a chirp has none.
 
     It suits chirps of fewer than two whole periods, and several bursts of noise.
     """

@@ -120,7 +120,7 @@ REPEAT = "repeat "
 
 
 def repeat_errors(transfer: TransferFunction) -> tuple[CurveError, ...]:
-    """Return the effect of each repeat on all lines, where repeats differ by more than their noise."""
+    """Return the effect of each repeat on all lines, if repeats differ beyond noise."""
     effects = () if transfer.repeat_effects is None else transfer.repeat_effects
     return tuple(CurveError(f"{REPEAT}{number}", effect) for number, effect in enumerate(effects, 1))
 
