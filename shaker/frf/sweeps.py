@@ -193,7 +193,7 @@ def _estimate(spectra: BurstSpectra) -> _JoinedRepeats:
     turn[:, index, index % channels] = along
     turn[:, index, index % channels + channels] = across
     covariance = turn @ (by_noise + by_repeats) @ turn.swapaxes(1, 2)
-    common = share * deviation * np.sqrt(np.maximum(1.0 - 1.0 / excess, 0.0))
+    common = share * deviation * np.clip(excess - 1.0, 0.0, 1.0)  # no effect where there is only noise
     return _JoinedRepeats(ratio, covariance, common, repeatability, excess, dof.min(axis=1))
 
 
