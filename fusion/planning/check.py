@@ -364,7 +364,9 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
 def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tuple[str, list[str]]:
     """Return channels, samples and rate of a DAQ file, and its problems."""
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
-    text = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
+    further = daq.further_files
+    repeats = f" and {len(further)} repeats" if further else ""
+    text = f"daq {daq.name}: {daq.file.name}{repeats}, {_size([daq.file, *further])}: {listed}"
     try:
         points = scanned_points(block, daq)
         if points is None:
