@@ -252,13 +252,16 @@ def chirp_measured(folder: Path) -> Iterator[Row]:
     apart = np.abs(h1 / found.ratio.value[:, 0] - 1.0)
     yield Row("3 sweeps against H1 of their periodograms (scipy): median, lines within U", _within(apart, relative))
     for name, one in zip(names, single, strict=True):
-        same, here = np.isin(found.ratio.frequency_hz, one.ratio.frequency_hz), one.ratio
+        same, of_one = np.isin(found.ratio.frequency_hz, one.ratio.frequency_hz), one.ratio
         there = found.ratio.value[same, 0]
-        own = here.value[np.isin(here.frequency_hz, found.ratio.frequency_hz), 0]
+        common = np.isin(of_one.frequency_hz, found.ratio.frequency_hz)
         # A single repeat deviates from the mean of three by √2 of its standard uncertainty, and by its noise.
-        noise = _relative_u(one)[np.isin(here.frequency_hz, found.ratio.frequency_hz)]
+        noise = _relative_u(one)[common]
         limit = np.hypot(np.sqrt(2.0) * relative[same], 1.96 * noise)
-        yield Row(f"{name} against all three: median, lines within U", _within(np.abs(own / there - 1.0), limit))
+        yield Row(
+            f"{name} against all three: median, lines within U",
+            _within(np.abs(of_one.value[common, 0] / there - 1.0), limit),
+        )
 
 
 def _relative_u(found: TransferFunction) -> FloatArray:

@@ -24,8 +24,11 @@ _SAME_LEVEL = 3.0  # ratio of the levels at both ends that noise at rest does no
 _MOVES = 0.01  # of the largest level of a channel: where its ends differ by more, it is not at rest
 _ENDS = 32  # samples at either end that show the offset
 _HIDDEN = 1e-5  # of the largest level, below which no motion matters
-_PAUSE = 0.05  # of a record: shortest pause between two bursts
+_PAUSE = 8  # blocks of the shortest pause between two bursts
+_LONGEST = 0.5  # of the slowest period: the longest block that longer records need
 _BEFORE = 0.9  # share of the rest before that is certainly rest
+_SHORTEST, _UNEQUAL = 16, 0.25  # samples of a piece at rest; share of the longest piece, for its resolution
+_STARTS = 4.5  # standard deviations of the noise within which the first samples of a record are at rest
 _SIMILAR = 2.0  # ratio of the lengths of bursts that are repeats of one excitation
 
 RecordEnd = Literal["beginning", "end"]
@@ -58,25 +61,37 @@ class Burst:
     step: FloatArray
 
     @property
-    def rests(self) -> tuple[FloatArray, FloatArray]:
-        """Samples at rest: before, and the later half after, where less rings unseen."""
-        return self.samples[: int(_BEFORE * self.first)], self.samples[(self.last + len(self.samples)) // 2 :]
+    def before(self) -> FloatArray:
+        """Samples at rest before; none of a record that begins with the motion."""
+        return self.samples[: int(_BEFORE * self.first)]
+
+    @property
+    def after(self) -> FloatArray:
+        """Samples at rest after: the later half, where less rings unseen."""
+        return self.samples[(self.last + len(self.samples)) // 2 :]
+
+    @property
+    def rests(self) -> list[FloatArray]:
+        """Pieces at rest of sufficient length to show their noise."""
+        pieces = [self.before, self.after]
+        return [piece for piece in pieces if len(piece) >= max(_SHORTEST, _UNEQUAL * max(map(len, pieces)))]
 
 
-def find_bursts(record: TransferRecord, highest_hz: float, number: int = 0) -> tuple[Burst, ...]:
+def find_bursts(record: TransferRecord, band_hz: tuple[float, float], number: int = 0) -> tuple[Burst, ...]:
     """Return the parts of a record from rest to rest, separated by pauses.
 
-    Parts of different lengths are one. `highest_hz`: highest frequency of the excitation; noise above twice it does not
-    hide where it begins. Raises `RestError` with `number` where the record does not begin and end at rest.
+    Parts of different lengths are one. `band_hz`: of the excitation; noise above twice its upper end does not hide
+    where the motion begins. Raises `RestError` with `number` where the record does not begin and end at rest.
     """
     samples = np.column_stack([record.reference, record.responses])
     names = (record.reference_name, *record.channels)
-    size = max(_FEWEST_SAMPLES, len(samples) // _BLOCKS)
-    active = _active_blocks(_low_pass(samples, highest_hz / record.sample_rate_hz), size, names, number)
+    lowest, highest = (edge / record.sample_rate_hz for edge in band_hz)
+    longest = _LONGEST / lowest if lowest > 0.0 else len(samples)
+    size = max(_FEWEST_SAMPLES, int(min(len(samples) // _BLOCKS, longest)))
+    active = _active_blocks(_low_pass(samples, highest), size, names, number, starts=_starts_at_rest(samples, highest))
     runs = runs_of(active)
-    pause = max(_END_BLOCKS, int(_PAUSE * len(active)))
     # Runs of active blocks with shorter pauses are one burst.
-    apart = runs[1:, 0] - runs[:-1, 1] >= pause
+    apart = runs[1:, 0] - runs[:-1, 1] >= _PAUSE
     first, last = runs[np.append(True, apart), 0], runs[np.append(apart, True), 1]
     if np.max(last - first) > _SIMILAR * np.min(last - first):
         first, last = first[:1], last[-1:]
@@ -89,10 +104,21 @@ def find_bursts(record: TransferRecord, highest_hz: float, number: int = 0) -> t
     )
 
 
-def _active_blocks(samples: FloatArray, size: int, names: Sequence[str], number: int) -> BoolArray:
+def _starts_at_rest(samples: FloatArray, highest: float) -> bool:
+    """Return whether the first samples of all channels are within the noise at the end.
+
+    That shows rest before a record that a trigger starts with the motion.
+    """
+    end = samples[-max(_SHORTEST, len(samples) // _BLOCKS) :]
+    noise = end.std(axis=0) + _HIDDEN * np.ptp(samples, axis=0)
+    first = samples[: max(3, int(0.125 / highest))]
+    return bool(np.all(np.abs(first - end.mean(axis=0)) < _STARTS * noise))
+
+
+def _active_blocks(samples: FloatArray, size: int, names: Sequence[str], number: int, *, starts: bool) -> BoolArray:
     """Return which blocks (B,) of `size` samples are active in any channel (1 + C).
 
-    The last block has the remaining samples too.
+    `starts`: the record begins with the motion, and at rest. The last block has the remaining samples too.
     """
     count = len(samples) // size
     if count < 4 * _END_BLOCKS:
@@ -102,6 +128,8 @@ def _active_blocks(samples: FloatArray, size: int, names: Sequence[str], number:
     largest = np.maximum(level.max(axis=0), np.finfo(np.float64).tiny)
     begin, end = (np.sqrt(np.mean(part**2, axis=0)) for part in (level[:_END_BLOCKS], level[-_END_BLOCKS:]))
     floor = _HIDDEN * largest
+    if starts and np.any(begin > np.maximum(_SAME_LEVEL * end, floor)):
+        begin = end
     for c, name in enumerate(names):
         ends: tuple[tuple[RecordEnd, float, float], ...] = (
             ("beginning", begin[c], end[c]),
@@ -127,7 +155,8 @@ def _low_pass(samples: FloatArray, highest: float) -> FloatArray:
 def _without_offset(burst: Burst) -> Burst:
     """Return a burst less the straight line through its levels at rest before and after."""
     count = len(burst.samples)
-    before, after = (rest.mean(axis=0) for rest in burst.rests)
+    after = burst.after.mean(axis=0)
+    before = burst.before.mean(axis=0) if len(burst.before) >= _SHORTEST else after
     place = np.clip((np.arange(count) - 0.5 * burst.first) / (count - 0.5 * burst.first), 0.0, 1.0)[:, None]
     return replace(burst, samples=burst.samples - before - place * (after - before))
 
@@ -298,7 +327,7 @@ def _window(burst: Burst) -> FloatArray:
     """Return a window (N, 1): 1 over the motion, with cosine flanks in both rests."""
     length = len(burst.samples)
     index = np.arange(length)
-    rise, fall = (max(1.0, _FLANK * rest) for rest in (burst.first, length - burst.last))
+    rise, fall = (max(0.5, _FLANK * rest) for rest in (burst.first, length - burst.last))
     ends = np.minimum((index + 0.5) / rise, (length - index - 0.5) / fall)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(ends, 0.0, 1.0)))[:, None]
 
@@ -323,6 +352,8 @@ def _ringing(bursts: Sequence[Burst], rate_hz: float, band_hz: tuple[float, floa
     """Return the most significant line at either end of every channel, if significant."""
     from scipy.special import fdtri
 
+    if any(len(burst.rests) < 2 for burst in bursts):
+        return ()  # nothing to compare an end with
     length = min(len(rest) for burst in bursts for rest in burst.rests)
     frequency = np.arange(length // 2 + 1) * (rate_hz / length)
     inside = np.flatnonzero((frequency >= band_hz[0]) & (frequency <= band_hz[1]) & (np.arange(len(frequency)) >= 2))
@@ -337,15 +368,15 @@ def _ringing(bursts: Sequence[Burst], rate_hz: float, band_hz: tuple[float, floa
     ends: tuple[tuple[RecordEnd, list[FloatArray], list[FloatArray], list[FloatArray]], ...] = (
         (
             "beginning",
-            [burst.rests[0][:length] for burst in bursts],
-            [burst.rests[0][-length:] for burst in bursts],
-            [burst.rests[1][-length:] for burst in bursts],
+            [burst.before[:length] for burst in bursts],
+            [burst.before[-length:] for burst in bursts],
+            [burst.after[-length:] for burst in bursts],
         ),
         (
             "end",
-            [burst.rests[1][-length:] for burst in bursts],
+            [burst.after[-length:] for burst in bursts],
             [burst.samples[-2 * length : -length] for burst in bursts],
-            [burst.rests[0][:length] for burst in bursts],
+            [burst.before[:length] for burst in bursts],
         ),
     )
     for end, outer, inner, opposite in ends:

@@ -83,8 +83,8 @@ def transfer_from_rest(
     first = records[0]
     _check_same_channels(records)
     rate = first.sample_rate_hz
-    band = (0.0, _HIGHEST * rate) if band_hz is None else (max(0.0, band_hz[0]), min(0.5 * rate, band_hz[1]))
-    bursts = [burst for number, record in enumerate(records) for burst in find_bursts(record, band[1], number)]
+    band = usable_band(first, band_hz)
+    bursts = [burst for number, record in enumerate(records) for burst in find_bursts(record, band, number)]
     spectra = burst_spectra(bursts, rate, spacing_hz, band)
     power = np.sum(np.abs(spectra.value[:, :, 0]) ** 2, axis=0)
     excited = power > np.maximum(_SIGNAL**2 * spectra.noise[:, 0, 0].real, 0.0)
@@ -114,6 +114,12 @@ def transfer_from_rest(
     )
 
 
+def usable_band(record: TransferRecord, band_hz: tuple[float, float] | None) -> tuple[float, float]:
+    """Return a band within the sampling; by default up to 0.45 of the rate."""
+    rate = record.sample_rate_hz
+    return (0.0, _HIGHEST * rate) if band_hz is None else (max(0.0, band_hz[0]), min(0.5 * rate, band_hz[1]))
+
+
 def _check_same_channels(records: Sequence[TransferRecord]) -> None:
     """Refuse records of other channels or another sampling rate."""
     first = records[0]
@@ -131,7 +137,7 @@ def _check_same_channels(records: Sequence[TransferRecord]) -> None:
 
 _ROUNDS = 3  # of scatter and weights; they change little after the second
 _NEIGHBOURS = 4  # lines on either side over which the repeatability is averaged
-_MOST_CORRELATED = 2000  # lines over which deviations of repeats correlate, at most
+_WIDEST = 300  # lines on either side over which it is averaged, at most
 _CERTAIN = 3.0  # standard deviations from which a correlation is significant
 
 
@@ -170,7 +176,7 @@ def _estimate(spectra: BurstSpectra) -> _JoinedRepeats:
         if count > 1:
             near, excess = _repeatability(deviation, error, level, repeatability, _NEIGHBOURS)
             length = _correlated_lines(deviation, near, variance)
-            wide = min(round(_NEIGHBOURS * length), lines)
+            wide = min(round(_NEIGHBOURS * length), _WIDEST)
             far = near if wide == _NEIGHBOURS else _repeatability(deviation, error, level, near, wide)[0]
             # Smooth deviations pass through zero: what lines farther away show holds there too.
             larger = np.trace(near, axis1=1, axis2=2) > np.trace(far, axis1=1, axis2=2)
@@ -206,7 +212,7 @@ def _total_variance(covariance: FloatArray) -> FloatArray:
 def _total_least_squares(
     reference: ComplexArray, responses: ComplexArray, noise: ComplexArray, weight: FloatArray
 ) -> ComplexArray:
-    """Return H (K, C) that minimises Σ w·|Y - HX|²/var(Y - HX) over repeats (M, K)."""
+    """Return H (K, C) of least Σ w·|Y - HX|²/var(Y - HX) over repeats."""
     tiny = np.finfo(np.float64).eps ** 2
     power = np.sum(weight * np.abs(reference[:, :, None]) ** 2, axis=0)
     cross = np.sum(weight * responses * reference.conj()[:, :, None], axis=0)
@@ -273,13 +279,12 @@ def _smooth(values: FloatArray, side: int) -> FloatArray:
 
 
 def _correlated_lines(deviation: ComplexArray, repeatability: FloatArray, noise: FloatArray) -> float:
-    """Return the number of lines over which the deviations of the repeats correlate: 1 for noise."""
+    """Return the number of lines over which deviations of repeats correlate, 1 for noise."""
     lines = len(repeatability)
     scaled = deviation / np.sqrt(noise + _total_variance(repeatability))
-    scaled = scaled - scaled.mean(axis=0)
-    largest = min(_MOST_CORRELATED, lines // 2)
-    products = np.array([np.sum(scaled[:, d:] * scaled[:, : lines - d].conj()) for d in range(largest + 1)])
-    found = np.abs(products) / max(float(products[0].real), np.finfo(np.float64).tiny)
+    spectrum = np.fft.fft(scaled - scaled.mean(axis=0), n=2 * lines, axis=1)
+    products = np.abs(np.fft.ifft(np.sum(np.abs(spectrum) ** 2, axis=(0, 2))))[: lines // 2 + 1]
+    found = products / max(float(products[0]), np.finfo(np.float64).tiny)
     small = np.flatnonzero(found < _CERTAIN / np.sqrt((len(deviation) - 1) * lines * deviation.shape[2]))
     return float(1.0 + 2.0 * np.sum(found[1 : int(small[0]) if len(small) else None] ** 2))
 

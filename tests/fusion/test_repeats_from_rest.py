@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from identify_factory import DAMPING, SMALL, STIFFNESS, write_campaign
+from scipy.signal import butter, sosfilt
 from support import AT_ORIGIN, block, channel, edit, refusals, write_daq
 from sweep_factory import FINER, MODES, RATE_HZ, accelerance, recorded, simulate, sweep, through
 
@@ -107,6 +108,18 @@ def test_repeatability_is_a_line_of_the_budget(recording: Path) -> None:
     for mode in result.resonances:
         assert mode.budget["repeatability"][0] > mode.budget["noise"][0]
         assert not any(name.startswith("repeat ") for name in mode.budget)
+
+
+def test_bursts_of_noise_are_from_rest_and_lasting_noise_is_not(recording: Path) -> None:
+    manifest, rng = recording / "recording.toml", np.random.default_rng(3)
+    edit(manifest, 'kind = "chirp"', 'kind = "noise"')
+    edit(manifest, 'repeats = "sweep-*.h5"\n', "")
+    white = sosfilt(butter(4, 600.0, fs=FINER * RATE_HZ, output="sos"), rng.normal(size=FINER * 16384))
+    for span_s, chosen in (((0.1, 1.0), True), ((-1.0, 9.0), False)):
+        signals = simulate(lambda t, span_s=span_s: 20.0 * white * ((t > span_s[0]) & (t < span_s[1])))
+        noisy = [clean + 0.01 * rng.standard_normal(len(clean)) for clean in signals]
+        write_daq(recording / "sweep-1.h5", RATE_HZ, dict(zip(("force", "top"), noisy, strict=True)))
+        assert (result_of(recording)[0].transfer.estimator == "rest") == chosen
 
 
 def test_records_without_rest_are_named_with_their_file(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -411,6 +411,6 @@ def test_a_response_that_ends_below_the_band_and_a_line_spacing_too_fine_for_the
 
 def test_the_example_of_the_guide_is_a_recording(recording):
     guide = (DOCS / "transfer.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^```toml\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
+    example, _ = re.findall(r"^```toml\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
     (recording / "recording.toml").write_text(example.replace("period = 1.0", "period = 0.5"), encoding="utf-8")
     assert len(_evaluated(recording).resonances) == 1

@@ -133,6 +133,23 @@ def test_a_record_that_does_not_rest_is_refused_and_one_that_rings_is_named() ->
     assert RINGS_AT_END.code in codes(rings)
 
 
+def test_a_trigger_may_start_the_record_with_the_motion() -> None:
+    found = transfer_from_rest(noisy([simulate(lambda t: sweep(t, 1.0, 0.0, 1.2))] * 2, 9), band_hz=BAND_HZ)
+    error, limit = covered(found)
+    assert 0.93 < np.mean(np.abs(error) < limit) < 0.99
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cuts_of_a_lasting_sweep_are_never_at_rest(seed: int) -> None:
+    force, motion = simulate(lambda t: sweep(t, 1.0, 0.1, 1.8))
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        first, last = sorted(rng.choice(np.arange(1200, 15000), 2, replace=False).tolist())
+        if last - first > 2000:
+            with pytest.raises(RestError):
+                transfer_from_rest(noisy([(force[first:last], motion[first:last])], seed), band_hz=BAND_HZ)
+
+
 def test_wrong_calls_name_the_argument() -> None:
     one, other = (record(clean_sweeps([1.0])[0], rate_hz=rate) for rate in (RATE_HZ, 8000.0))
     refused("records: expected one sampling rate", transfer_from_rest, [one, other], band_hz=BAND_HZ)

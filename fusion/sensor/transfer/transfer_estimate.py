@@ -13,9 +13,9 @@ from fusion.sensor.transfer.transfer_records import SynchronousRecord, TransferS
 from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
-from shaker.frf.rest import RestError
+from shaker.frf.rest import RestError, find_bursts
 from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.frf.sweeps import transfer_from_rest
+from shaker.frf.sweeps import transfer_from_rest, usable_band
 from shakercal._common.notices import Notice
 
 AVERAGED: tuple[Literal["auto", "local", "H1", "H2", "Hv"], ...] = ("auto", "local", "H1", "H2", "Hv")
@@ -23,6 +23,7 @@ AVERAGED: tuple[Literal["auto", "local", "H1", "H2", "Hv"], ...] = ("auto", "loc
 _SEGMENTS = 16  # segments of a record if no line spacing is requested
 _BLOW_S = 1.0  # window around a blow if no line spacing is requested
 _REPEATS = 2  # whole periods, or bursts, from which their scatter shows the noise
+_CONTINUOUS = 0.9  # share of a record from which noise is no burst
 _KEYS = {
     "period_s": "excitation.period",
     "band_hz": "excitation.band",
@@ -86,18 +87,23 @@ def _at_rest(
 ) -> tuple[TransferFunction | None, RestError | None]:
     """Return the estimate from rest to rest, or why a chirp has none.
 
-    It suits chirps of fewer than two whole periods, and several bursts of noise.
+    It suits chirps of fewer than two whole periods, and noise in bursts.
     """
-    excitation, length_s = manifest.excitation, len(record.reference) / record.sample_rate_hz
+    excitation, samples = manifest.excitation, len(record.reference)
+    length_s = samples / record.sample_rate_hz
     whole = 0.0 if excitation.period is None else length_s / excitation.period - excitation.settle_periods
     if excitation.kind not in ("chirp", "noise") or whole >= _REPEATS:
         return None, None
     try:
-        found = transfer_from_rest((record,), spacing_hz=settings.resolution_hz, band_hz=band_hz)
+        if excitation.kind == "noise":
+            bursts = find_bursts(record, usable_band(record, band_hz))
+            if len(bursts) < _REPEATS and bursts[0].last - bursts[0].first > _CONTINUOUS * samples:
+                return None, None
+        return transfer_from_rest((record,), spacing_hz=settings.resolution_hz, band_hz=band_hz), None
     except RestError as error:
         return None, error if excitation.kind == "chirp" and excitation.period is None else None
-    suits = excitation.kind == "chirp" or found.averages[0] >= _REPEATS
-    return found if suits else None, None
+    except ValueError:  # the other estimators say what is wrong
+        return None, None
 
 
 def _file_of(manifest: Manifest, error: RestError) -> tuple[Path, str]:

@@ -33,6 +33,8 @@ EstimatorChoice = Literal["auto", "rest", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
 LASTING = ("noise", "multisine")
 """Kinds of excitation that never rest."""
+ENDS, QUIET = 100, 0.1
+"""Parts of a record of which the first and the last one are at rest; their range over that of the record."""
 SLOWEST, DITHERED = 100.0, 10.0
 """Samples of a period where no band is stated; how many times fewer steps suffice for a signal that dithers itself."""
 
@@ -381,7 +383,9 @@ def align(
 def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
     """Refuse a channel with clipped or lost samples; yield a notice of coarse converter steps."""
     entry, raw, excitation = channel.entry, channel.record.raw[channel.entry.name], manifest.excitation
-    lasting = excitation.kind in LASTING  # constant samples are a defect only of signals that never rest
+    # Constant samples are a defect only of signals that never rest.
+    bursts = channel.record.entry.repeats or (excitation.kind == "noise" and _rests(raw.samples))
+    lasting = excitation.kind in LASTING and not bursts
     slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
     size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
     for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
@@ -398,6 +402,13 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
             unit=f" {raw.unit}" if raw.unit else "",
             step=defect.step,
         )
+
+
+def _rests(samples: FloatArray) -> bool:
+    """Return whether a signal begins and ends at rest, as a burst does."""
+    ends = max(2, len(samples) // ENDS)
+    largest = QUIET * float(np.ptp(samples))
+    return bool(np.ptp(samples[:ends]) < largest and np.ptp(samples[-ends:]) < largest)
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
