@@ -145,6 +145,14 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
         """Standard uncertainty (K, C) of each ratio, rms of Re and Im."""
         return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
 
+    def at_lines(self, lines: BoolArray) -> MeasuredTransfer:
+        """Return the curves at the lines of a mask (K,)."""
+        bending = self.bending
+        if bending is not None:
+            bending = replace(bending, inertia=bending.inertia[:, lines], stretch=bending.stretch[:, lines])
+        errors = tuple(replace(error, relative=error.relative[lines]) for error in self.errors)
+        return replace(self, ratio=self.ratio.at_lines(lines), errors=errors, bending=bending)
+
     def poles(self, count: int) -> ComplexArray:
         """Return the common poles (count,) of all ratios by `rational_poles`."""
         return rational_poles(self.s, self.ratio.value, self.noise, count)

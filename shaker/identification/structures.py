@@ -58,11 +58,13 @@ def _internal(component: int) -> StructureParameter:
     return StructureParameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", unit)
 
 
-def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
+def _seen(
+    record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray, loss_hz: float
+) -> Mechanics:
     """Return the mechanics of p with the readings of a recording."""
     rows = np.stack([sight.row for sight in record.tops])
     base = float(record.base.row @ record.drive)
-    return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base)
+    return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base, loss_hz)
 
 
 SENSOR = "sensor"
@@ -83,10 +85,12 @@ class SpringSuspension:
     translation). With component z alone H = (k + bs)/((m + m_i)s² + bs + k). (0, 4) is pitching: the height of the
     centre of mass couples x and ry in M. (4,) is a rotation, J α against k_ry. The internal mass is unknown: one mass
     for all translations, one moment of inertia per rotation. Recordings of a single load do not determine it;
-    `identify` uses a stated value.
+    `identify` uses a stated value. `loss_hz` as in `Mechanics`: 0 for viscous damping, else b is that of a loss factor
+    at this frequency.
     """
 
     components: tuple[int, ...]
+    loss_hz: float = 0.0
 
     def __post_init__(self) -> None:
         chosen = self.components
@@ -123,7 +127,7 @@ class SpringSuspension:
         index = np.arange(size)
         matrices[1 + index, 2, index, index] = 1.0
         matrices[1 + size + index, 1, index, index] = 1.0
-        return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
+        return _seen(record, self.body, matrices, (full @ record.drive)[:, free], self.loss_hz)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return starts (S, P), resonances around the largest ratio in every order."""
@@ -161,6 +165,7 @@ class ChainStructure:
 
     component: int
     stages: tuple[Stage, ...] = (Stage("adapter"), Stage(SENSOR))
+    loss_hz: float = 0.0
 
     def __post_init__(self) -> None:
         check_stages(tuple(stage.name for stage in self.stages))
@@ -203,7 +208,7 @@ class ChainStructure:
         stage_forcing = forcing[mass][massive] * record.drive[self.component]
         moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][massive], load[1:] * last])
         pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], stage_forcing, push[1:] * ahead])
-        return _seen(record, self.body, moved, pushed)
+        return _seen(record, self.body, moved, pushed, self.loss_hz)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return start values (S, P) from the measured poles in every order."""

@@ -242,7 +242,9 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     assert bad.chi_squared > 4.0 * bad.dof
     notice = notices_at(bad, "identification")[MODEL_MISFIT.code]
     assert notice.values["factor"] == pytest.approx(np.sqrt(bad.chi_squared / bad.dof), rel=1e-4)
-    enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof)
+    assert bad.smooth.is_significant
+    assert not good.smooth.is_significant
+    enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof * bad.smooth.factor)
     assert bad.u("stiffness_z") == pytest.approx(enlarged * good.u("stiffness_z"), rel=0.05)
     assert not notices_at(good, "identification")
 

@@ -40,7 +40,7 @@ from shakercal._common.notices import Notice
 
 
 ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
-DampingChoice = Literal["common", "each"]
+DampingChoice = Literal["auto", "common", "each"]
 MassChoice = Literal["auto", "free", "stated"]
 
 
@@ -48,14 +48,14 @@ MassChoice = Literal["auto", "free", "stated"]
 class IdentifySettings:
     """Choices that change results.
 
-    `model`, `damping` (one for all recordings or one for each), `internal_mass` (fitted, or as stated in rig.toml);
+    `model`, `damping` (one damper for all recordings or one for each), `internal_mass` (fitted, or as in rig.toml);
     "auto" is decided from the recordings. `band_hz`: lines that are fitted, None for all. `load_masses_kg`: for which
     corrections and usable bands are given, none for those of the recordings. `permitted`: error of the magnitude up to
     which a band counts as usable.
     """
 
     model: ModelChoice = "auto"
-    damping: DampingChoice = "common"
+    damping: DampingChoice = "auto"
     internal_mass: MassChoice = "auto"
     band_hz: tuple[float, float] | None = None
     load_masses_kg: tuple[float, ...] = ()
@@ -206,13 +206,15 @@ _MIN_ALONG = 1e-3  # part of the drive that the reference must measure
 class PreparedTransfer:
     """A curve to be fitted, with its recording and the resonances of its single responses.
 
-    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied.
+    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied. `reference`:
+    name of the channel of the base, empty for results of sines.
     """
 
     manifest: Manifest
     measured: MeasuredTransfer
     resonances: tuple[FoundResonance, ...] = ()
     grids: tuple[EdgeGrid, ...] = ()
+    reference: str = ""
 
     @property
     def component(self) -> int:
@@ -284,7 +286,7 @@ def prepare(
         notices.append(Notice(declared.ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
-    return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
+    return PreparedTransfer(manifest, measured, found, complete, base.name), tuple(notices)
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
