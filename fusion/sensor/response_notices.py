@@ -83,9 +83,10 @@ PEAK_NOT_FITTED = DeclaredNotice(
 PEAK_DEPARTS = DeclaredNotice(
     "SC-695",
     "warning",
-    "The peak at {frequency_hz:.6g} Hz deviates from one oscillator by {ratio:.2g} times the noise.",
-    effect="Its frequency and damping ratio depend on the lines that are fitted.",
-    remedy="Use the joint fit of `shakercal identify`, or record with finer lines.",
+    "The peak at {frequency_hz:.6g} Hz deviates from one linear oscillator by {ratio:.2g} times the noise.",
+    effect="The data refute the model: frequency and damping ratio have no U. The peak may be of two modes, or its "
+    "stiffness or damping may change with the amplitude.",
+    remedy="Repeat at half the level: a resonance that moves is not linear. Use the joint fit of `shakercal identify`.",
     link="transfer.md",
 )
 SCALE_UNCERTAINTY_NOT_STATED = DeclaredNotice(
@@ -94,6 +95,21 @@ SCALE_UNCERTAINTY_NOT_STATED = DeclaredNotice(
     "No uncertainty of the scale is stated for {channels}.",
     effect="U does not include the scale of these channels.",
     remedy="State `scale_uncertainty`.",
+    link="transfer.md",
+)
+RESONANCE_LOSS_FACTOR = DeclaredNotice(
+    "SC-897",
+    "note",
+    "The damping at {frequency_hz:.6g} Hz follows a loss factor η = 2ζ rather than a damper.",
+    effect="f₀ is √(k/m)/2π with this damping.",
+    link="transfer.md",
+)
+LAW_UNDECIDED = DeclaredNotice(
+    "SC-898",
+    "note",
+    "The curve does not show whether the damping at {frequency_hz:.6g} Hz is viscous or a loss factor.",
+    effect="The values are those of viscous damping. U covers both: f₀ differs by the share {share:.2g}.",
+    remedy="Record more lines below the resonance, with less noise.",
     link="transfer.md",
 )
 

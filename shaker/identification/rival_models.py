@@ -15,6 +15,7 @@ from shakercal._common.arrays import FloatArray
 StructureName = Literal["translation", "pitching", "adapter"]
 
 _SIGNIFICANT = 6.0  # difference of the criterion from which a rival is refuted: Akaike weights in the ratio 1 : 20
+_ONE_SIDED = 0.82  # half of 1.645: 95 % of a normal distribution lies on one side
 _MOST_ADDED = 3  # features added to a model
 _FILTER_TERMS = ((1, 1.0), (2, 0.5), (3, 0.3), (4, 0.2), (5, 0.1))
 """Powers n of (jf/f_max) in the logarithm of an unstated filter, with the standard deviation of each coefficient: wide
@@ -177,7 +178,7 @@ def covering(choice: ModelChoice) -> Identification:
 
     def added(item: ParameterEstimate) -> list[float]:
         """Return the standard uncertainty of a number by each of the other models."""
-        return [_beyond(item.value, item.u, *_found_in(other, item)) for other in others]
+        return [added_uncertainty(item.value, item.u, *_found_in(other, item)) for other in others]
 
     def wider(item: ParameterEstimate) -> ParameterEstimate:
         return replace(item, u=float(np.linalg.norm([item.u, *added(item)])))
@@ -187,8 +188,8 @@ def covering(choice: ModelChoice) -> Identification:
         for one in (one for other in others for one in other.modes):
             if (one.record, one.number) == (mode.record, mode.number):
                 found = one.frequency_hz, one.u_frequency_hz, one.damping_ratio, one.u_damping_ratio
-                frequency.append(_beyond(mode.frequency_hz, mode.u_frequency_hz, *found[:2]))
-                damping.append(_beyond(mode.damping_ratio, mode.u_damping_ratio, *found[2:]))
+                frequency.append(added_uncertainty(mode.frequency_hz, mode.u_frequency_hz, *found[:2]))
+                damping.append(added_uncertainty(mode.damping_ratio, mode.u_damping_ratio, *found[2:]))
         u_frequency_hz, u_damping_ratio = float(np.linalg.norm(frequency)), float(np.linalg.norm(damping))
         return replace(mode, u_frequency_hz=u_frequency_hz, u_damping_ratio=u_damping_ratio)
 
@@ -203,10 +204,10 @@ def covering(choice: ModelChoice) -> Identification:
     )
 
 
-def _beyond(value: float, u: float, other: float, u_other: float) -> float:
-    """Return what another model adds to u, so that 2u reaches its value and u is no smaller than its own."""
-    size = float(np.sqrt(0.25 * (other - value) ** 2 + max(0.0, u_other**2 - u**2)))
-    return float(np.copysign(size, other - value))
+def added_uncertainty(value: float, u: float, other: float, u_other: float) -> float:
+    """Return what another model adds to u, so that 2u covers its value with 95 %, signed as its difference."""
+    reach = max(u_other, 0.5 * abs(other - value) + _ONE_SIDED * u_other)
+    return float(np.copysign(np.sqrt(max(0.0, reach**2 - u**2)), other - value))
 
 
 def _found_in(found: Identification, item: ParameterEstimate) -> tuple[float, float]:

@@ -1,0 +1,253 @@
+"""Resonances in a measured transfer function: peaks, and the oscillator fitted to each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.errors import ARGUMENT
+from fusion.sensor import response_notices as declared
+from fusion.sensor.transfer.transfer_records import FoundResonance
+from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
+from shaker.frf.result import TransferFunction
+from shaker.identification.measured_curves import CurveError, MeasuredCurve
+from shaker.identification.oscillator import DampingLaw, Resonance, ResonanceKind, fit_resonance
+from shaker.identification.rival_models import added_uncertainty
+from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.notices import Notice
+
+_PROMINENCE = np.log(2.0)  # of a peak in ln|H|
+_SIGNIFICANT = 8.0  # standard uncertainties by which a peak exceeds its surroundings
+_DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
+_FEWEST_LINES = 6
+_POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
+_VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
+_MOST = 12
+_ROUNDS = 4  # of fitting peaks one after the other, each without all others
+REFUTED_FROM = 3.0
+"""Residuals over the noise, rms, from which one oscillator does not explain a peak and has no U."""
+LAW_OF_DAMPING = "law of damping, viscous or loss factor"
+"""Cause in the budget."""
+LAWS: tuple[DampingLaw, DampingLaw] = ("viscous", "loss factor")
+"""The laws of damping that are compared."""
+_NEGLIGIBLE = 0.2  # standard uncertainties by which both laws may differ in f₀ without a decision
+_EXPLAINED = 1.2  # χ² per degree of freedom up to which a law explains the lines up to the valleys
+_DECISIVE = 6.0  # difference of χ² that decides, a likelihood ratio of 20
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One response over its reference: values (K,), noise covariance, and common errors."""
+
+    name: str
+    transfer: TransferFunction
+    value: ComplexArray
+    covariance: FloatArray
+    errors: dict[str, ComplexArray]
+    kind: ResonanceKind
+
+    def fit(
+        self,
+        lines: slice,
+        value: ComplexArray,
+        *,
+        residual_terms: bool = False,
+        delay: bool = False,
+        law: DampingLaw = "viscous",
+    ) -> Resonance:
+        """Fit one oscillator to values (L,) at some lines."""
+        curve = MeasuredCurve(
+            self.transfer.ratio.frequency_hz[lines],
+            value,
+            self.covariance[lines],
+            line_correlation=self.transfer.line_correlation,
+            added_decay_per_s=self.transfer.added_decay_per_s,
+            dof=self.transfer.ratio.dof[lines],
+        )
+        return fit_resonance(curve, self.kind, residual_terms=residual_terms, delay=delay, law=law)
+
+
+def find_resonances(
+    transfer: TransferFunction,
+    errors: Sequence[CurveError],
+    kinds: Sequence[ResonanceKind],
+    u_clock: float,
+    influences: ModelInfluences = NO_INFLUENCES,
+) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
+    """Return the resonances of every response, and notices of peaks without a fitted oscillator.
+
+    `transfer` has the covariance of its noise only. `kinds` (C): form of an oscillator in each response. `u_clock`:
+    relative standard uncertainty of the clock, and so of every frequency. `influences`: influences on a resonance that
+    the record does not show.
+    """
+    found: list[FoundResonance] = []
+    notices: list[Notice] = []
+    for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
+        of_channel = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
+        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind)
+        peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
+        modes = _separated(curve, [peak.lines for peak in peaks])
+        for index, (peak, mode) in enumerate(zip(peaks, modes, strict=True)):
+            frequency_hz = float(transfer.ratio.frequency_hz[peak.line])
+            if isinstance(mode, str):
+                notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
+                continue
+            others = [one for one in (*modes[:index], *modes[index + 1 :]) if isinstance(one, _Mode)]
+            best, other = _with_law(curve, peak, mode, others)
+            found.append(_with_budget(curve, peak.lines, best, other, u_clock, influences))
+            departs = np.sqrt(best.fit.chi_squared / best.fit.dof)
+            if departs >= REFUTED_FROM:
+                notices.append(Notice(declared.PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
+            elif best.fit.law == "loss factor":
+                notices.append(Notice(declared.RESONANCE_LOSS_FACTOR, where, frequency_hz=frequency_hz))
+            elif other is not None:
+                share = abs(other.frequency_hz - best.fit.frequency_hz) / best.fit.frequency_hz
+                notices.append(Notice(declared.LAW_UNDECIDED, where, frequency_hz=frequency_hz, share=share))
+    return tuple(found), tuple(notices)
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """The line of a peak, the lines to an eighth of it, and those up to the valleys around it."""
+
+    line: int
+    lines: slice
+    wide: slice
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """One oscillator, and the values (L,) to which it was fitted, corrected for all others."""
+
+    fit: Resonance
+    value: ComplexArray
+
+
+def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
+    """Fit every peak without the others, in rounds; a text is a failure's reason."""
+    found: list[_Mode | str] = ["no fit" for _ in windows]
+    for _ in range(_ROUNDS if len(windows) > 1 else 1):
+        for index, lines in enumerate(windows):
+            value = _without(
+                curve, lines, [one for one in (*found[:index], *found[index + 1 :]) if isinstance(one, _Mode)]
+            )
+            try:
+                found[index] = _Mode(_best(curve, lines, value), value)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                found[index] = ARGUMENT.sub("", str(error))
+    return found
+
+
+def _without(curve: _Curve, lines: slice, others: Sequence[_Mode]) -> ComplexArray:
+    """Return the values at some lines without other oscillators."""
+    value = curve.value[lines].copy()
+    for other in others:
+        oscillator = replace(other.fit, residual_terms=np.zeros(2, dtype=np.complex128))
+        value -= oscillator.model(curve.transfer.ratio.frequency_hz[lines], curve.transfer.added_decay_per_s)
+    return value
+
+
+def _with_law(curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]) -> tuple[_Mode, Resonance | None]:
+    """Return a mode with the law of damping that the data call for, and the fit by the other law if undecided.
+
+    Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
+    distinguish them, with the phase of gain and delay left free.
+    """
+    if mode.fit.damping_ratio**2 * mode.fit.frequency_hz < _NEGLIGIBLE * mode.fit.u("frequency_hz"):
+        return mode, None
+    residual_terms = "constant_re" in mode.fit.parameters
+    try:
+        other = curve.fit(peak.lines, mode.value, residual_terms=residual_terms, law="loss factor")
+        better = _decided(curve, peak.wide, _without(curve, peak.wide, others))
+    except (ValueError, np.linalg.LinAlgError):
+        return mode, None
+    if better == "loss factor":
+        return replace(mode, fit=other), None
+    return mode, None if better == "viscous" else other
+
+
+def _decided(curve: _Curve, lines: slice, value: ComplexArray) -> DampingLaw | None:
+    """Return the law of damping that explains values (L,), None where both or neither do."""
+    for residual_terms in (False, True):
+        fits = [curve.fit(lines, value, residual_terms=residual_terms, delay=True, law=law) for law in LAWS]
+        left = np.array([fit.chi_squared for fit in fits])
+        best = fits[int(np.argmin(left))]
+        if best.chi_squared < max(_EXPLAINED, 1.0 + 5.0 * np.sqrt(2.0 / best.dof)) * best.dof:
+            return best.law if float(np.ptp(left)) > _DECISIVE else None
+    return None
+
+
+def _peaks(curve: _Curve) -> list[_Peak]:
+    """Return the largest significant peaks of |H|."""
+    from scipy.signal import find_peaks
+
+    size = np.abs(curve.value)
+    relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
+    logarithm = np.log(size)
+    peaks, found = find_peaks(logarithm, prominence=_PROMINENCE)
+    keep = (found["prominences"] > _SIGNIFICANT * relative[peaks]) & (relative[peaks] < 1.0 / _SIGNIFICANT)
+    peaks = peaks[keep]
+    largest = np.sort(peaks[np.argsort(-found["prominences"][keep])[:_MOST]])
+    windows = []
+    for number, peak in enumerate(largest):
+        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : peak]))
+        high = len(size) if number + 1 == len(largest) else peak + int(np.argmin(size[peak : largest[number + 1]]))
+        wide = slice(int(low), int(high))
+        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[peak]) + low
+        low = max([low, *(weak[weak < peak] + 1)])
+        high = min([high, *weak[weak > peak]])
+        if high - low >= _FEWEST_LINES:
+            windows.append(_Peak(int(peak), slice(int(low), int(high)), wide))
+    return windows
+
+
+def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
+    """Fit one oscillator to values (L,), with residual terms if they improve it."""
+    frequency = curve.transfer.ratio.frequency_hz[lines]
+    fit = curve.fit(lines, value, residual_terms=False)
+    if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
+        richer = curve.fit(lines, value, residual_terms=True)
+        fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
+    if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
+        raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
+    if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
+        raise ValueError("its damping is not determined because of noise")
+    return fit
+
+
+def _with_budget(
+    curve: _Curve,
+    lines: slice,
+    mode: _Mode,
+    other: Resonance | None,
+    u_clock: float,
+    influences: ModelInfluences,
+) -> FoundResonance:
+    """Return a fit with its uncertainty by noise, common errors, clock, influences, and the `other` law of damping.
+
+    U (k = 2) covers the values by the other law. A fit that the data refute has none.
+    """
+    frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
+    where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
+    if fit.chi_squared >= REFUTED_FROM**2 * fit.dof:
+        return FoundResonance(*where, fit, band_hz, np.nan, np.nan, {})
+    residual_terms = "constant_re" in fit.parameters
+    u_noise = fit.u("frequency_hz"), fit.u("damping_ratio")
+    budget = {"noise": u_noise}
+    for name, relative in curve.errors.items():
+        off = mode.value * (1.0 + relative[lines])
+        moved = curve.fit(lines, off, residual_terms=residual_terms, law=fit.law)
+        budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
+    if other is not None:
+        budget[LAW_OF_DAMPING] = (
+            added_uncertainty(fit.frequency_hz, u_noise[0], other.frequency_hz, other.u("frequency_hz")),
+            added_uncertainty(fit.damping_ratio, u_noise[1], other.damping_ratio, other.u("damping_ratio")),
+        )
+    if u_clock > 0.0:
+        budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
+    for cause, (by_frequency, by_damping) in influences.relative.items():
+        budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
+    u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
+    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
