@@ -341,3 +341,12 @@ MOUNT_TREATED_AS_RIGID = DeclaredNotice(
     link="identify.md#rival-models",
     possible_size="k too low by the share k/k_mount, 9 % for a light mount ten times as stiff as the sensor",
 )
+CHANGES_WITH_AMPLITUDE = DeclaredNotice(
+    "SC-899",
+    "warning",
+    "Stiffness and damping change by {stiffness_percent:+.2g} % and {damping_percent:+.2g} % from the smallest to the "
+    "largest force of the load, {lowest:.3g} to {highest:.3g} {unit}.",
+    effect="The values are those of the middle of this range, and U covers the whole range.",
+    remedy="Record at the level of the later use.",
+    link="identify.md#rival-models",
+)

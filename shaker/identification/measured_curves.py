@@ -104,6 +104,7 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     origin, without the internal mass of the sensor. `line_correlation` (D,) as in `TransferFunction`. `clock`,
     `u_clock`: name and relative standard uncertainty of the clock, which applies to all frequencies.
     `placement_errors`: uncertain positions and directions of the transducers. `bending`: None for a rigid load.
+    `level`: amplitude of the recording among others, from -1/2 to 1/2.
     """
 
     name: str
@@ -120,6 +121,7 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     u_clock: float = 0.0
     placement_errors: tuple[PlacementError, ...] = ()
     bending: Bending | None = None
+    level: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

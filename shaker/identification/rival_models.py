@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.identification.measured_curves import CurveError, MeasuredTransfer, ParameterEstimate
 from shaker.identification.structure_fit import Identification, ModeEstimate
+from shaker.identification.structures import CHANGE
 from shakercal._common.arrays import FloatArray
 
 StructureName = Literal["translation", "pitching", "adapter"]
@@ -17,10 +18,15 @@ StructureName = Literal["translation", "pitching", "adapter"]
 _SIGNIFICANT = 6.0  # difference of the criterion from which a rival is refuted: Akaike weights in the ratio 1 : 20
 _ONE_SIDED = 0.82  # half of 1.645: 95 % of a normal distribution lies on one side
 _MOST_ADDED = 3  # features added to a model
+_WORTH_MORE = 0.5  # share of the misfit that a feature must leave at most, so that another one is tried
 _FILTER_TERMS = ((1, 1.0), (2, 0.5), (3, 0.3), (4, 0.2), (5, 0.1))
 """Powers n of (jf/f_max) in the logarithm of an unstated filter, with the standard deviation of each coefficient: wide
 enough for a corner at the highest line."""
-_FEATURE_WORDS = {"loss_factor": "a loss factor in place of a damper", "each": "a separate damping of each recording"}
+_FEATURE_WORDS = {
+    "loss_factor": "a loss factor in place of a damper",
+    "each": "a separate damping of each recording",
+    "by_amplitude": "stiffness and damping that change with the amplitude",
+}
 UNSTATED_FILTER = "unstated filter"
 """Part of the names of the unknowns of an unstated filter."""
 UNDECIDED_MODELS = "models that the data do not decide between"
@@ -31,13 +37,15 @@ UNDECIDED_MODELS = "models that the data do not decide between"
 class RivalModel:
     """One hypothesis on joints, damping and chains.
 
-    `loss_factor`: damping that does not depend on frequency. `each`: one damping per recording. `filtered`: channels
-    whose chain has a filter or delay that is not stated.
+    `loss_factor`: damping that does not depend on frequency. `each`: one damping per recording. `by_amplitude`:
+    stiffness and damping change with the amplitude of the recording. `filtered`: channels whose chain has a filter or
+    delay that is not stated.
     """
 
     structure: StructureName = "translation"
     loss_factor: bool = False
     each: bool = False
+    by_amplitude: bool = False
     filtered: tuple[str, ...] = ()
 
     def __str__(self) -> str:
@@ -52,7 +60,8 @@ class RivalModel:
         same = self.structure == other.structure or (self.structure, other.structure) == ("adapter", "translation")
         law = self.loss_factor == other.loss_factor or (self.each and other.each)
         # One damping per recording contains both laws of damping, as far as each curve has one resonance.
-        return same and (law or self.each) and (self.each or not other.each)
+        more = (self.each or not other.each) and (self.by_amplitude or not other.by_amplitude)
+        return same and (law or self.each) and more
 
 
 @dataclass(frozen=True)
@@ -96,8 +105,8 @@ def choose_model(
     """Return the rival that the data call for.
 
     The rivals of `start` are fitted first. While residuals or stated errors contradict the best, `richer` names models
-    with one more feature, and the best of them follows where Akaike's criterion is lower by 6 or more. `fitted` returns
-    None for a model that cannot be fitted.
+    with one more feature, and the best of them follows where Akaike's criterion is lower by 6 or more. Where the data
+    refute all of them, it is the best one of `start`. `fitted` returns None for a model that cannot be fitted.
     """
     tried: dict[RivalModel, FittedRival] = {}
     known: set[RivalModel] = set()
@@ -110,7 +119,7 @@ def choose_model(
         excess = min((rival.identification.excess for rival in tried.values()), default=1.0)
         return min(tried.values(), key=lambda rival: rival.criterion(excess))
 
-    best = best_of(start)
+    simplest = best = best_of(start)
     for _ in range(_MOST_ADDED):
         others = richer(best)
         if not others:
@@ -120,11 +129,15 @@ def choose_model(
         if best is before or before.criterion(excess) - best.criterion(excess) < _SIGNIFICANT:
             best = before
             break
+        if best.identification.misfit > _WORTH_MORE * before.identification.misfit:
+            break
+    if best.identification.is_refuted:  # added features would be arbitrary
+        best = simplest
     choice = ModelChoice(best, tuple(tried.values()), ())
     undecided = [
         rival
         for rival in tried.values()
-        if rival is not best and choice.difference(rival) < _SIGNIFICANT and not rival.model.contains(best.model)
+        if rival is not best and not best.identification.is_refuted and choice.difference(rival) < _SIGNIFICANT and not rival.model.contains(best.model)
     ]
     return replace(choice, undecided=tuple(undecided))
 
@@ -173,6 +186,8 @@ def covering(choice: ModelChoice) -> Identification:
     """
     best = choice.best.identification
     others = [rival.identification for rival in choice.undecided]
+    if choice.best.model.by_amplitude:
+        others += [_at_amplitude(best, side) for side in (-0.5, 0.5)]
     if not others:
         return best
 
@@ -202,6 +217,13 @@ def covering(choice: ModelChoice) -> Identification:
         modes=tuple(map(wider_mode, best.modes)),
         budget={**best.budget, UNDECIDED_MODELS: np.linalg.norm(changes, axis=0)},
     )
+
+
+def _at_amplitude(found: Identification, level: float) -> Identification:
+    """Return a fit with stiffness and damping at another amplitude."""
+    changes = {item.name.removeprefix(CHANGE): item.value for item in found.estimates if item.name.startswith(CHANGE)}
+    moved = tuple(replace(item, value=item.value + level * changes.get(item.name, 0.0)) for item in found.estimates)
+    return replace(found, estimates=moved)
 
 
 def added_uncertainty(value: float, u: float, other: float, u_other: float) -> float:

@@ -27,7 +27,7 @@ from shaker.identification.measured_curves import (
     estimate_residual_noise,
     line_correlation_term,
 )
-from shaker.identification.structures import MechanicalStructure
+from shaker.identification.structures import CHANGE, MechanicalStructure
 from shaker.labels import typeset
 from shaker.model_notices import (
     DAMPING_UNDETERMINED,
@@ -138,6 +138,11 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     def is_explained(self) -> bool:
         """Whether noise as stated, independent between lines, explains the residuals."""
         return self.excess < max(_NOISE_NOTE, 1.0 + _CHANCES * self.chance) and not self.smooth.is_significant
+
+    @property
+    def misfit(self) -> float:
+        """χ² of means of neighbouring lines over that of noise as stated."""
+        return self.excess * max(1.0, self.smooth.factor)
 
     @property
     def is_refuted(self) -> bool:
@@ -375,6 +380,8 @@ def _notices(
     whole = np.nan_to_num(whole_inertia(problem, state.parameters))
     for index in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
         estimate = estimates[index]
+        if estimate.name.startswith(CHANGE):
+            continue
         if problem.precision[index] > 0.0:
             yield from _against_stated(estimate, problem.expected[index], problem.precision[index] ** -0.5)
         elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[index]):

@@ -69,6 +69,8 @@ def _seen(
 
 SENSOR = "sensor"
 """Name of the stage of the sensor."""
+CHANGE = "change_"
+"""Begin of the names of changes from the smallest to the largest amplitude."""
 _SPACING = 1.5  # factor between the resonances of the components in a start
 _WIDE_SPACING = 6.0  # the same if only the lowest is observed
 _MOST_ORDERS = 24  # assignments of resonances to components, at most
@@ -86,11 +88,12 @@ class SpringSuspension:
     centre of mass couples x and ry in M. (4,) is a rotation, J α against k_ry. The internal mass is unknown: one mass
     for all translations, one moment of inertia per rotation. Recordings of a single load do not determine it;
     `identify` uses a stated value. `loss_hz` as in `Mechanics`: 0 for viscous damping, else b is that of a loss factor
-    at this frequency.
+    at this frequency. `by_amplitude`: k and b change in proportion to `record.level`, by one parameter each.
     """
 
     components: tuple[int, ...]
     loss_hz: float = 0.0
+    by_amplitude: bool = False
 
     def __post_init__(self) -> None:
         chosen = self.components
@@ -102,7 +105,12 @@ class SpringSuspension:
         """Stiffness and damping of each free component, then internal mass and moments of inertia."""
         axes = [(c, MOTION_COMPONENTS[c]) for c in self.components]
         springs, dampers = zip(*(_spring_and_damper(c, axis, axis) for c, axis in axes), strict=True)
-        return (*springs, *dampers, *(parameter for parameter, _ in self._internal))
+        changing = (*springs, *dampers) if self.by_amplitude else ()
+        changes = (
+            StructureParameter(f"{CHANGE}{one.name}", f"change over the amplitudes of {one.label}", one.unit)
+            for one in changing
+        )
+        return (*springs, *dampers, *changes, *(parameter for parameter, _ in self._internal))
 
     @property
     def _internal(self) -> list[tuple[StructureParameter, FloatArray]]:
@@ -121,12 +129,15 @@ class SpringSuspension:
         size = len(free)
         masses = [record.mass_matrix, *(matrix for _, matrix in self._internal)]
         masses += [error.change for error in record.inertia_errors]
-        full = np.stack([masses[0], *np.zeros((2 * size, 6, 6)), *masses[1:]])
+        factors = (1.0, record.level) if self.by_amplitude else (1.0,)
+        full = np.stack([masses[0], *np.zeros((2 * size * len(factors), 6, 6)), *masses[1:]])
         matrices = np.zeros((len(full), 3, size, size))
         matrices[:, 0] = full[:, free[:, None], free]
         index = np.arange(size)
-        matrices[1 + index, 2, index, index] = 1.0
-        matrices[1 + size + index, 1, index, index] = 1.0
+        for number, factor in enumerate(factors):
+            first = 1 + 2 * size * number
+            matrices[first + index, 2, index, index] = factor
+            matrices[first + size + index, 1, index, index] = factor
         return _seen(record, self.body, matrices, (full @ record.drive)[:, free], self.loss_hz)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
@@ -141,7 +152,8 @@ class SpringSuspension:
         orders = np.array([order for omega in spacings for order in islice(permutations(omega), _MOST_ORDERS)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
         damping = 2.0 * _DAMPING_RATIO * orders * inertia
-        return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), len(self._internal)))])
+        rest = len(self.parameters) - 2 * size
+        return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), rest))])
 
 
 @dataclass(frozen=True)

@@ -207,7 +207,8 @@ class PreparedTransfer:
     """A curve to be fitted, with its recording and the resonances of its single responses.
 
     `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied. `reference`:
-    name of the channel of the base, empty for results of sines.
+    name of the channel of the base, empty for results of sines. `peak`: largest acceleration of the load, about that at
+    the highest line, in m/s² or rad/s²; 0 if not known.
     """
 
     manifest: Manifest
@@ -215,6 +216,7 @@ class PreparedTransfer:
     resonances: tuple[FoundResonance, ...] = ()
     grids: tuple[EdgeGrid, ...] = ()
     reference: str = ""
+    peak: float = 0.0
 
     @property
     def component(self) -> int:
@@ -225,6 +227,11 @@ class PreparedTransfer:
     def load_kg(self) -> float:
         """Mass, or moment of inertia, on the sensor along the driven component."""
         return float(self.measured.mass_matrix[self.component, self.component])
+
+    @property
+    def amplitude(self) -> float:
+        """Largest force, or moment, of the load in N or N·m; 0 if not known."""
+        return self.load_kg * self.peak
 
     @property
     def u_load_kg(self) -> float:
@@ -286,7 +293,18 @@ def prepare(
         notices.append(Notice(declared.ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
-    return PreparedTransfer(manifest, measured, found, complete, base.name), tuple(notices)
+    peak = _peak_acceleration(result, tops)
+    return PreparedTransfer(manifest, measured, found, complete, base.name, peak), tuple(notices)
+
+
+def _peak_acceleration(result: ReferenceResult, tops: Sequence[ChannelEntry]) -> float:
+    """Return the largest reading of the responses as an acceleration at the frequency of the highest line."""
+    ratio, readings = result.transfer.ratio, []
+    for entry in tops:
+        channel = ratio.channels.index(entry.name)
+        highest_hz = float(ratio.frequency_hz[np.argmax(np.abs(ratio.value[:, channel]))])
+        readings.append(result.peaks[channel] / (2.0 * np.pi * highest_hz) ** TRANSDUCERS[entry.quantity].order)
+    return max(readings)
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:

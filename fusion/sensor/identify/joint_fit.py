@@ -14,7 +14,7 @@ from fusion.sensor import response_notices as declared
 from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit
 from fusion.sensor.identify.model_choice import choice_notices, departure, describe_choice
 from fusion.sensor.unmodelled_effects import stated_influences
-from shaker.identification.measured_curves import MeasuredSensitivity, ParameterEstimate
+from shaker.identification.measured_curves import MeasuredSensitivity, MeasuredTransfer, ParameterEstimate
 from shaker.identification.rival_models import (
     FittedRival,
     ModelChoice,
@@ -44,6 +44,7 @@ from shakercal._common.notices import Notice
 
 
 _DIFFERENT = 0.01  # relative difference of load masses that separates internal mass and stiffness
+_OTHER_LEVEL = 1.05  # ratio of amplitudes from which recordings show whether these matter
 _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
 _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 _LAWS = {
@@ -154,6 +155,8 @@ def _richer(
     if settings.damping == "auto" and not model.each:
         others += [] if model.loss_factor else [replace(model, loss_factor=True)]
         others += [replace(model, each=True, loss_factor=False)] if len(group) > 1 else []
+    if model.structure != "adapter" and not model.by_amplitude and _levels_differ(group):
+        others.append(replace(model, by_amplitude=True))
     channels = dict.fromkeys(
         name for item in group if item.reference for name in (item.reference, *item.measured.ratio.channels)
     )
@@ -161,19 +164,39 @@ def _richer(
     return others
 
 
+def _levels_differ(group: Sequence[PreparedTransfer]) -> bool:
+    """Return whether one load was recorded with different amplitudes, so that load and amplitude can be separated."""
+    pairs = [(one, other) for one in group for other in group if one.peak > 0.0 and other.peak > 0.0]
+    return any(
+        abs(one.load_kg - other.load_kg) <= _DIFFERENT * one.load_kg and other.peak > _OTHER_LEVEL * one.peak
+        for one, other in pairs
+    )
+
+
+def _with_levels(group: Sequence[PreparedTransfer]) -> list[MeasuredTransfer]:
+    """Return the curves with their levels, of the amplitudes of all that are known."""
+    known = [item.amplitude for item in group if item.peak > 0.0]
+    span = np.ptp(known) if known else 0.0
+    if not span > 0.0:
+        return [item.measured for item in group]
+    middle = 0.5 * (min(known) + max(known))
+    levels = [(item.amplitude - middle) / span if item.peak > 0.0 else 0.0 for item in group]
+    return [replace(item.measured, level=float(level)) for item, level in zip(group, levels, strict=True)]
+
+
 def _fitted(
     model: RivalModel, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings, *, free: bool
 ) -> Identification:
     """Fit a model to all curves of a group; `free` fits the internal mass."""
     loss_hz = _middle_hz(group) if model.loss_factor else 0.0
-    structure: MechanicalStructure = SpringSuspension((component,), loss_hz)
+    structure: MechanicalStructure = SpringSuspension((component,), loss_hz, model.by_amplitude)
     if model.structure == "adapter":
         structure = ChainStructure(component, loss_hz=loss_hz)
     if model.structure == "pitching":
         if component not in _PITCHES_WITH:
             driven = MOTION_COMPONENTS[component]
             raise InputError(declared.PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
-        structure = SpringSuspension((component, _PITCHES_WITH[component]), loss_hz)
+        structure = SpringSuspension((component, _PITCHES_WITH[component]), loss_hz, model.by_amplitude)
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if model.each else []
     inside = {} if free else {mass_name(axis): axis for axis in reversed(range(6)) if mass_name(axis) in names}
@@ -182,7 +205,7 @@ def _fitted(
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
         raise InputError(declared.MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
     stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}
-    records = [item.measured for item in group]
+    records = _with_levels(group)
     records = with_unstated_filters(records, [item.reference for item in group], model.filtered)
     try:
         return identify(records, structure, stated_values=stated, each_recording=each)

@@ -10,6 +10,7 @@ from fusion.sensor import response_notices as declared
 from fusion.sensor.identify.identification_inputs import PreparedTransfer
 from shaker.identification.rival_models import FittedRival, ModelChoice, RivalModel, unstated_lag_s
 from shaker.identification.structure_fit import Identification
+from shaker.identification.structures import CHANGE
 from shaker.labels import typeset
 from shakercal._common.notices import Notice
 
@@ -56,10 +57,10 @@ def choice_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
     if choice.undecided:
         listed = "; ".join(str(rival.model) for rival in (choice.best, *choice.undecided))
         yield Notice(declared.MODELS_UNDECIDED, where, models=listed)
-    yield from _joint_notices(choice, where)
+    yield from _joint_notices(choice, where, group)
 
 
-def _joint_notices(choice: ModelChoice, where: str) -> Iterator[Notice]:
+def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTransfer]) -> Iterator[Notice]:
     """Yield notices of damping and mount."""
     found, model = choice.best.identification, choice.best.model
     if model.loss_factor:
@@ -69,6 +70,8 @@ def _joint_notices(choice: ModelChoice, where: str) -> Iterator[Notice]:
         ending = next(one.name for one in found.derived).removeprefix("loss_factor")
         frequency_hz = rate * found.value(f"stiffness{ending}") / found.value(f"damping{ending}") / (2.0 * np.pi)
         yield Notice(declared.LOSS_FACTOR_FOUND, where, difference=difference, frequency_hz=frequency_hz)
+    if model.by_amplitude:
+        yield _by_amplitude(found, where, group)
     if model.each:
         axis = where.rpartition(" ")[2]
         dampings = [one for one in found.estimates if one.name.partition(": ")[0] == f"damping_{axis}"]
@@ -81,3 +84,15 @@ def _joint_notices(choice: ModelChoice, where: str) -> Iterator[Notice]:
         yield Notice(declared.COMPLIANT_MOUNT_FOUND, where, ratio=ratio)
     elif not found.is_refuted:
         yield Notice(declared.MOUNT_TREATED_AS_RIGID, where)
+
+
+def _by_amplitude(found: Identification, where: str, group: Sequence[PreparedTransfer]) -> Notice:
+    """Return how much stiffness and damping change over the amplitudes of the recordings."""
+    axis, known = where.rpartition(" ")[2], [item.amplitude for item in group if item.peak > 0.0]
+    stiffness, damping = (
+        100.0 * found.value(f"{CHANGE}{name}_{axis}") / found.value(f"{name}_{axis}")
+        for name in ("stiffness", "damping")
+    )
+    changes = {"stiffness_percent": stiffness, "damping_percent": damping}
+    unit = "N" if len(axis) == 1 else "N·m"
+    return Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, lowest=min(known), highest=max(known), unit=unit)

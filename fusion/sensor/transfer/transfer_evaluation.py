@@ -29,6 +29,7 @@ from fusion.sensor.transfer.transfer_records import (
 )
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
+from shaker.frf.distortion import harmonics_above_band
 from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
@@ -187,8 +188,18 @@ def _evaluated(
         random_covariance=corrected.ratio.covariance,
         errors=errors,
         resonances=resonances,
+        peaks=tuple(np.abs(together.samples.responses - together.samples.responses.mean(axis=0)).max(axis=0).tolist()),
     )
-    return result, [*together.aligned.notices, *raw.notices, *peak_notices, *_unstated_scales([reference, *responses])]
+    notices = [*raw.notices, *_distortions(manifest, together, raw), *peak_notices]
+    return result, [*together.aligned.notices, *notices, *_unstated_scales([reference, *responses])]
+
+
+def _distortions(manifest: Manifest, together: SynchronousRecord, raw: TransferFunction) -> list[Notice]:
+    """Return notices of harmonics above the band of a periodic excitation."""
+    excitation, highest_hz = manifest.excitation, float(raw.ratio.frequency_hz[-1])
+    if excitation.period is None or raw.estimator != "periodic":
+        return []
+    return list(harmonics_above_band(together.samples, excitation.period, excitation.settle_periods, highest_hz))
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:

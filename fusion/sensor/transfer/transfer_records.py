@@ -97,6 +97,7 @@ class ReferenceResult:
     random_covariance : (K, 2C, 2C) of the noise only.
     errors : errors common to all lines.
     resonances : resonances of the curves.
+    peaks : (C,), largest reading of each response from its mean, in its unit; empty if not known.
     """
 
     name: str
@@ -104,6 +105,7 @@ class ReferenceResult:
     random_covariance: FloatArray
     errors: tuple[CurveError, ...]
     resonances: tuple[FoundResonance, ...]
+    peaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
