@@ -344,9 +344,9 @@ MOUNT_TREATED_AS_RIGID = DeclaredNotice(
 CHANGES_WITH_AMPLITUDE = DeclaredNotice(
     "SC-899",
     "warning",
-    "Stiffness and damping change by {stiffness_percent:+.2g} % and {damping_percent:+.2g} % from the smallest to the "
-    "largest force of the load, {lowest:.3g} to {highest:.3g} {unit}.",
-    effect="The values are those of the middle of this range, and U covers the whole range.",
+    "Stiffness and damping change with the amplitude, by {stiffness_percent:+.2g} % and {damping_percent:+.2g} % over "
+    "{range}.",
+    effect="Spring and damper are not linear. U covers linear models within this range of amplitude, not beyond it.",
     remedy="Record at the level of the later use.",
     link="identify.md#rival-models",
 )

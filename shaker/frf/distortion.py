@@ -14,7 +14,9 @@ from shakercal._common.notices import Notice
 _HIGHEST = 0.45  # share of the sampling rate up to which harmonics are examined
 _BESIDE = 1.02  # factor above the last excited line from which lines are examined
 _SIGNIFICANT = 6.0  # standard deviations of the mean power of noise
-_OF_REFERENCE = 2.0  # times the reference's harmonics, amplified as the last excited lines, from which a response has own
+_OF_REFERENCE = (
+    2.0  # times the reference's harmonics, amplified as the last excited lines, from which a response has own
+)
 
 
 def harmonics_above_band(

@@ -134,10 +134,12 @@ def choose_model(
     if best.identification.is_refuted:  # added features would be arbitrary
         best = simplest
     choice = ModelChoice(best, tuple(tried.values()), ())
+    if best.identification.is_refuted:
+        return choice
     undecided = [
         rival
-        for rival in tried.values()
-        if rival is not best and not best.identification.is_refuted and choice.difference(rival) < _SIGNIFICANT and not rival.model.contains(best.model)
+        for rival in choice.tried
+        if rival is not best and choice.difference(rival) < _SIGNIFICANT and not rival.model.contains(best.model)
     ]
     return replace(choice, undecided=tuple(undecided))
 

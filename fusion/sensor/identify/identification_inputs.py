@@ -219,6 +219,14 @@ class PreparedTransfer:
     peak: float = 0.0
 
     @property
+    def amplitude_change(self) -> tuple[float, float]:
+        """Largest relative changes of natural frequency and damping ratio from rest to the amplitudes of the record."""
+        found = [one.amplitude for one in self.resonances if one.amplitude is not None]
+        changes = [(0.0, 0.0), *((one.frequency_change, one.damping_change) for one in found)]
+        frequency, damping = (max(parts, key=abs) for parts in zip(*changes, strict=True))
+        return frequency, damping
+
+    @property
     def component(self) -> int:
         """Index of the component that is driven most."""
         return component_of(self.measured.drive)
@@ -264,7 +272,7 @@ def prepare(
         raise _missing_channel(manifest, "response", drive, "load", "none on the load")
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
-    ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
+    ratio, errors = _load_over_base(manifest, _linearised(result), [entry.name for entry in tops], name, band_hz)
     placed, bent = tuple(transducer_placement(entry) for entry in tops), FlexibleLoad.of(manifest, ratio.frequency_hz)
     measured = MeasuredTransfer(
         name=name,
@@ -284,7 +292,8 @@ def prepare(
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
     of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
-    taken = [notice for notice in evaluation.notices if notice.where not in of_curves]
+    general = declared.CHANGES_WITH_AMPLITUDE.code
+    taken = [one for one in evaluation.notices if one.where not in of_curves or one.code == general]
     notices = [notice.at(f"{name}: {notice.where}" if notice.where else name) for notice in taken]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
@@ -295,6 +304,16 @@ def prepare(
     complete = grids if len(grids) == len(evaluation.clocks) else ()
     peak = _peak_acceleration(result, tops)
     return PreparedTransfer(manifest, measured, found, complete, base.name, peak), tuple(notices)
+
+
+def _linearised(result: ReferenceResult) -> ReferenceResult:
+    """Return curves without the forces of cubic springs and dry friction: those of vanishing amplitude."""
+    ratio = result.transfer.ratio
+    value = ratio.value.copy()
+    for one in result.resonances:
+        if one.amplitude is not None:
+            value[:, ratio.channels.index(one.response)] -= one.amplitude.contribution
+    return replace(result, transfer=replace(result.transfer, ratio=replace(ratio, value=value)))
 
 
 def _peak_acceleration(result: ReferenceResult, tops: Sequence[ChannelEntry]) -> float:

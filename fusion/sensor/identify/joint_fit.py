@@ -13,6 +13,7 @@ from fusion.recording.rig import Sensor
 from fusion.sensor import response_notices as declared
 from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit
 from fusion.sensor.identify.model_choice import choice_notices, departure, describe_choice
+from fusion.sensor.transfer.resonances import AMPLITUDE, FIRST_ORDER
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.identification.measured_curves import MeasuredSensitivity, MeasuredTransfer, ParameterEstimate
 from shaker.identification.rival_models import (
@@ -20,6 +21,7 @@ from shaker.identification.rival_models import (
     ModelChoice,
     RivalModel,
     StructureName,
+    added_uncertainty,
     choose_model,
     covering,
     with_unstated_filters,
@@ -33,7 +35,7 @@ from shaker.identification.sensitivity import (
     sensor_model,
 )
 from shaker.identification.sensor import NO_CHAIN, SensorModel
-from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structure_fit import Identification, ModeEstimate, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.model_notices import MODEL_MISFIT, STATED_ERROR_TOO_SMALL
@@ -127,7 +129,7 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
         choice = choose_model(start, lambda best: _richer(best, component, group, settings), fitted)
     except ValueError as error:
         raise refused[-1] from error
-    identification = _with_influences(covering(choice), group)
+    identification = _with_amplitudes(_with_influences(covering(choice), group), group)
     refuted = identification.is_refuted
     notices = [one for one in identification.notices if not (refuted and one.code == MODEL_MISFIT.code)]
     if choice.best.model.structure == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
@@ -140,13 +142,17 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
 def _richer(
     best: FittedRival, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings
 ) -> list[RivalModel]:
-    """Return models with another structure, or one more feature, where the data contradict the best one."""
+    """Return models with another structure, or one more feature, where the data contradict the best one.
+
+    Springs that are not linear could pass for a joint or a filter, which are left out where the amplitude matters.
+    """
     found, model = best.identification, best.model
     late = any(one.code == STATED_ERROR_TOO_SMALL.code and one.where.endswith(": delay") for one in found.notices)
     if found.is_explained and not late:
         return []
     others: list[RivalModel] = []
-    if settings.model == "auto":
+    linear = not any(any(item.amplitude_change) for item in group)
+    if settings.model == "auto" and linear:
         names: list[StructureName] = ["translation", "adapter"]
         other = _PITCHES_WITH.get(component)
         if other is not None and any(np.any(item.measured.mass_matrix[component, other] != 0.0) for item in group):
@@ -158,7 +164,7 @@ def _richer(
     if model.structure != "adapter" and not model.by_amplitude and _levels_differ(group):
         others.append(replace(model, by_amplitude=True))
     channels = dict.fromkeys(
-        name for item in group if item.reference for name in (item.reference, *item.measured.ratio.channels)
+        name for item in group if linear and item.reference for name in (item.reference, *item.measured.ratio.channels)
     )
     others += [replace(model, filtered=(*model.filtered, name)) for name in channels if name not in model.filtered]
     return others
@@ -264,6 +270,45 @@ def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -
         derived=tuple(map(wider, found.derived)),
         modes=modes,
         budget={**found.budget, **influences.by_cause(lambda indices: np.linalg.norm(effects[indices], axis=0))},
+    )
+
+
+def _with_amplitudes(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
+    """Return a fit of vanishing amplitude whose U covers the amplitudes of the recordings.
+
+    The stiffness changes by twice as much as the frequency, b by as much as frequency and damping ratio together.
+    """
+    changes = {item.measured.name: FIRST_ORDER * np.array(item.amplitude_change) for item in group}
+    if not any(np.any(change) for change in changes.values()):
+        return found
+    by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0), "lag": (-1.0, 1.0), "loss": (0.0, 1.0)}
+
+    def added(item: ParameterEstimate) -> float:
+        slopes = np.array(by.get(item.name.partition("_")[0], (0.0, 0.0)))
+        largest = max((float(slopes @ change) for change in changes.values()), key=abs)
+        return added_uncertainty(item.value, item.u, item.value * (1.0 + largest), item.u)
+
+    def wider(item: ParameterEstimate) -> ParameterEstimate:
+        return replace(item, u=float(np.hypot(item.u, added(item))))
+
+    def wider_mode(mode: ModeEstimate) -> ModeEstimate:
+        frequency, damping = mode.frequency_hz, mode.damping_ratio
+        by_frequency, by_damping = changes[mode.record]
+        more_f = added_uncertainty(
+            frequency, mode.u_frequency_hz, frequency * (1.0 + by_frequency), mode.u_frequency_hz
+        )
+        more_d = added_uncertainty(damping, mode.u_damping_ratio, damping * (1.0 + by_damping), mode.u_damping_ratio)
+        u_frequency_hz, u_damping_ratio = np.hypot(mode.u_frequency_hz, more_f), np.hypot(mode.u_damping_ratio, more_d)
+        return replace(mode, u_frequency_hz=float(u_frequency_hz), u_damping_ratio=float(u_damping_ratio))
+
+    effects = np.array([added(item) for item in found.estimates])
+    return replace(
+        found,
+        estimates=tuple(map(wider, found.estimates)),
+        covariance=found.covariance + np.multiply.outer(effects, effects),
+        derived=tuple(map(wider, found.derived)),
+        modes=tuple(map(wider_mode, found.modes)),
+        budget={**found.budget, AMPLITUDE: np.abs(effects)},
     )
 
 

@@ -89,10 +89,10 @@ def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
 def _by_amplitude(found: Identification, where: str, group: Sequence[PreparedTransfer]) -> Notice:
     """Return how much stiffness and damping change over the amplitudes of the recordings."""
     axis, known = where.rpartition(" ")[2], [item.amplitude for item in group if item.peak > 0.0]
-    stiffness, damping = (
-        100.0 * found.value(f"{CHANGE}{name}_{axis}") / found.value(f"{name}_{axis}")
-        for name in ("stiffness", "damping")
-    )
-    changes = {"stiffness_percent": stiffness, "damping_percent": damping}
-    unit = "N" if len(axis) == 1 else "N·m"
-    return Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, lowest=min(known), highest=max(known), unit=unit)
+    share = [100.0 / found.value(f"{name}_{axis}") for name in ("stiffness", "damping")]
+    changes = {
+        "stiffness_percent": share[0] * found.value(f"{CHANGE}stiffness_{axis}"),
+        "damping_percent": share[1] * found.value(f"{CHANGE}damping_{axis}"),
+    }
+    over = f"loads from {min(known):.3g} to {max(known):.3g} {'N' if len(axis) == 1 else 'N·m'}"
+    return Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, range=over)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_records import FoundResonance
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.frf.result import TransferFunction
+from shaker.identification.amplitude import AmplitudeEffect, ExcitedLines, amplitude_effect
 from shaker.identification.measured_curves import CurveError, MeasuredCurve
 from shaker.identification.oscillator import DampingLaw, Resonance, ResonanceKind, fit_resonance
 from shaker.identification.rival_models import added_uncertainty
@@ -30,6 +31,10 @@ REFUTED_FROM = 3.0
 """Residuals over the noise, rms, from which one oscillator does not explain a peak and has no U."""
 LAW_OF_DAMPING = "law of damping, viscous or loss factor"
 """Cause in the budget."""
+FIRST_ORDER = 1.3
+"""Factor of changes with the amplitude, which are estimated to first order and from the lines of a peak."""
+AMPLITUDE = "change with the amplitude"
+"""Cause in the budget."""
 LAWS: tuple[DampingLaw, DampingLaw] = ("viscous", "loss factor")
 """The laws of damping that are compared."""
 _NEGLIGIBLE = 0.2  # standard uncertainties by which both laws may differ in f₀ without a decision
@@ -39,7 +44,10 @@ _DECISIVE = 6.0  # difference of χ² that decides, a likelihood ratio of 20
 
 @dataclass(frozen=True)
 class _Curve:
-    """One response over its reference: values (K,), noise covariance, and common errors."""
+    """One response over its reference: values (K,), noise covariance, and common errors.
+
+    `base` (K,): acceleration of a base with periodic motion.
+    """
 
     name: str
     transfer: TransferFunction
@@ -47,6 +55,7 @@ class _Curve:
     covariance: FloatArray
     errors: dict[str, ComplexArray]
     kind: ResonanceKind
+    base: ComplexArray | None = None
 
     def fit(
         self,
@@ -58,7 +67,12 @@ class _Curve:
         law: DampingLaw = "viscous",
     ) -> Resonance:
         """Fit one oscillator to values (L,) at some lines."""
-        curve = MeasuredCurve(
+        curve = self.measured(lines, value)
+        return fit_resonance(curve, self.kind, residual_terms=residual_terms, delay=delay, law=law)
+
+    def measured(self, lines: slice, value: ComplexArray) -> MeasuredCurve:
+        """Return values (L,) at some lines with their noise."""
+        return MeasuredCurve(
             self.transfer.ratio.frequency_hz[lines],
             value,
             self.covariance[lines],
@@ -66,7 +80,13 @@ class _Curve:
             added_decay_per_s=self.transfer.added_decay_per_s,
             dof=self.transfer.ratio.dof[lines],
         )
-        return fit_resonance(curve, self.kind, residual_terms=residual_terms, delay=delay, law=law)
+
+    def amplitude_effect(self, lines: slice, mode: _Mode) -> AmplitudeEffect | None:
+        """Return how a mode deviates from a linear one, None where that is not known or not significant."""
+        if self.base is None or self.kind != "transmissibility" or mode.fit.law != "viscous":
+            return None
+        excited = ExcitedLines(self.transfer.ratio.frequency_hz, self.value, self.base)
+        return amplitude_effect(self.measured(lines, mode.value), mode.fit, excited)
 
 
 def find_resonances(
@@ -75,18 +95,21 @@ def find_resonances(
     kinds: Sequence[ResonanceKind],
     u_clock: float,
     influences: ModelInfluences = NO_INFLUENCES,
+    base: ComplexArray | None = None,
 ) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
     """Return the resonances of every response, and notices of peaks without a fitted oscillator.
 
     `transfer` has the covariance of its noise only. `kinds` (C): form of an oscillator in each response. `u_clock`:
     relative standard uncertainty of the clock, and so of every frequency. `influences`: influences on a resonance that
-    the record does not show.
+    the record does not show. `base` (K,): acceleration of a base with periodic motion.
     """
     found: list[FoundResonance] = []
     notices: list[Notice] = []
     for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
         of_channel = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
-        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind)
+        curve = _Curve(
+            name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind, base
+        )
         peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
         modes = _separated(curve, [peak.lines for peak in peaks])
         for index, (peak, mode) in enumerate(zip(peaks, modes, strict=True)):
@@ -96,16 +119,34 @@ def find_resonances(
                 continue
             others = [one for one in (*modes[:index], *modes[index + 1 :]) if isinstance(one, _Mode)]
             best, other = _with_law(curve, peak, mode, others)
-            found.append(_with_budget(curve, peak.lines, best, other, u_clock, influences))
-            departs = np.sqrt(best.fit.chi_squared / best.fit.dof)
-            if departs >= REFUTED_FROM:
-                notices.append(Notice(declared.PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
-            elif best.fit.law == "loss factor":
-                notices.append(Notice(declared.RESONANCE_LOSS_FACTOR, where, frequency_hz=frequency_hz))
-            elif other is not None:
-                share = abs(other.frequency_hz - best.fit.frequency_hz) / best.fit.frequency_hz
-                notices.append(Notice(declared.LAW_UNDECIDED, where, frequency_hz=frequency_hz, share=share))
+            one = _with_budget(curve, peak.lines, best, other, u_clock, influences)
+            found.append(one)
+            notices += _mode_notices(one, other, where)
     return tuple(found), tuple(notices)
+
+
+def _mode_notices(found: FoundResonance, other: Resonance | None, where: str) -> Iterator[Notice]:
+    """Yield notices of a resonance that its curve refutes, of its law of damping and of its amplitude."""
+    fit, amplitude = found.fit, found.amplitude
+    at = {"frequency_hz": fit.frequency_hz}
+    if amplitude is not None:
+        changes = {
+            "stiffness_percent": 200.0 * amplitude.frequency_change,
+            "damping_percent": 100.0 * amplitude.damping_change,
+        }
+        forces = 100.0 * amplitude.stiffening, 100.0 * amplitude.friction
+        over = (
+            f"the deflections of this record, at the largest of which a cubic part of the spring force makes "
+            f"{forces[0]:+.2g} % and dry friction {forces[1]:.2g} %"
+        )
+        yield Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, range=over)
+    if np.isnan(found.u_frequency_hz):
+        yield Notice(declared.PEAK_DEPARTS, where, **at, ratio=np.sqrt(fit.chi_squared / fit.dof))
+    elif fit.law == "loss factor":
+        yield Notice(declared.RESONANCE_LOSS_FACTOR, where, **at)
+    elif other is not None:
+        share = abs(other.frequency_hz - fit.frequency_hz) / fit.frequency_hz
+        yield Notice(declared.LAW_UNDECIDED, where, **at, share=share)
 
 
 @dataclass(frozen=True)
@@ -231,8 +272,10 @@ def _with_budget(
     """
     frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
     where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
-    if fit.chi_squared >= REFUTED_FROM**2 * fit.dof:
-        return FoundResonance(*where, fit, band_hz, np.nan, np.nan, {})
+    amplitude = curve.amplitude_effect(lines, mode)
+    excess = fit.chi_squared / fit.dof
+    if min(excess, excess if amplitude is None else amplitude.excess) >= REFUTED_FROM**2:
+        return FoundResonance(*where, fit, band_hz, np.nan, np.nan, {}, amplitude)
     residual_terms = "constant_re" in fit.parameters
     u_noise = fit.u("frequency_hz"), fit.u("damping_ratio")
     budget = {"noise": u_noise}
@@ -245,9 +288,18 @@ def _with_budget(
             added_uncertainty(fit.frequency_hz, u_noise[0], other.frequency_hz, other.u("frequency_hz")),
             added_uncertainty(fit.damping_ratio, u_noise[1], other.damping_ratio, other.u("damping_ratio")),
         )
+    if amplitude is not None:
+        at_rest = (
+            fit.frequency_hz * (1.0 - FIRST_ORDER * amplitude.frequency_change),
+            fit.damping_ratio * (1.0 - FIRST_ORDER * amplitude.damping_change),
+        )
+        budget[AMPLITUDE] = (
+            added_uncertainty(fit.frequency_hz, u_noise[0], at_rest[0], u_noise[0]),
+            added_uncertainty(fit.damping_ratio, u_noise[1], at_rest[1], u_noise[1]),
+        )
     if u_clock > 0.0:
         budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
     for cause, (by_frequency, by_damping) in influences.relative.items():
         budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
     u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
-    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
+    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget, amplitude)

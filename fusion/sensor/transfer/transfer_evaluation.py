@@ -31,7 +31,7 @@ from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.frf.distortion import harmonics_above_band
 from shaker.frf.impact import transfer_impact
-from shaker.frf.periodic import transfer_periodic
+from shaker.frf.periodic import find_period, period_phasors, transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.oscillator import ResonanceKind
@@ -177,7 +177,8 @@ def _evaluated(
     moved = reference.entry.quantity in TRANSDUCERS
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
     influences = stated_influences(manifest.rig, [manifest.mounting])
-    resonances, peak_notices = find_resonances(corrected, errors, kinds, together.u_clock, influences)
+    base = _base_acceleration(manifest, together, raw) if moved else None
+    resonances, peak_notices = find_resonances(corrected, errors, kinds, together.u_clock, influences, base)
     ratio = corrected.ratio
     if errors:
         common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
@@ -192,6 +193,20 @@ def _evaluated(
     )
     notices = [*raw.notices, *_distortions(manifest, together, raw), *peak_notices]
     return result, [*together.aligned.notices, *notices, *_unstated_scales([reference, *responses])]
+
+
+def _base_acceleration(manifest: Manifest, together: SynchronousRecord, raw: TransferFunction) -> ComplexArray | None:
+    """Return phasors (K,) of a periodic base motion as accelerations, None for other excitations."""
+    period_s, rate = manifest.excitation.period, together.samples.sample_rate_hz
+    if period_s is None or raw.estimator != "periodic":
+        return None
+    reference = together.samples.reference
+    period = find_period(reference, period_s * rate, manifest.excitation.settle_periods)
+    frequency = raw.ratio.frequency_hz
+    seen = period_phasors(reference[:, None], period, (0.99 * frequency[0] / rate, 1.01 * frequency[-1] / rate))
+    harmonic = np.rint(frequency * period.samples / rate).astype(np.int64)
+    order = TRANSDUCERS[together.aligned.channels[0].entry.quantity].order
+    return np.asarray(seen.value.mean(axis=0)[harmonic - seen.harmonic[0], 0] * (2j * np.pi * frequency) ** -order)
 
 
 def _distortions(manifest: Manifest, together: SynchronousRecord, raw: TransferFunction) -> list[Notice]:

@@ -21,6 +21,7 @@ from fusion.recording.units import unit_notices
 from fusion.sensor import response_notices as declared
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.amplitude import AmplitudeEffect
 from shaker.identification.measured_curves import CurveError
 from shaker.identification.oscillator import Resonance
 from shaker.io.condition import examine_samples
@@ -75,7 +76,8 @@ class FoundResonance:
     """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
     `u_frequency_hz`, `u_damping_ratio`: standard uncertainties by noise and all common errors. `budget`: change of
-    frequency (Hz) and damping ratio by one standard deviation of each cause.
+    frequency (Hz) and damping ratio by one standard deviation of each cause. `amplitude`: deviation from a linear
+    spring and damper, None if none is significant. A resonance that its curve refutes has NaN as uncertainties.
     """
 
     response: str
@@ -85,6 +87,7 @@ class FoundResonance:
     u_frequency_hz: float
     u_damping_ratio: float
     budget: dict[str, tuple[float, float]]
+    amplitude: AmplitudeEffect | None = None
 
 
 @dataclass(frozen=True)
