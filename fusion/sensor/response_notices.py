@@ -297,7 +297,7 @@ UNSTATED_FILTER_FOUND = DeclaredNotice(
     "warning",
     "The chain of {channel} has a delay or filter that is not stated: {lag_us:+.3g} µs at low frequencies, "
     "{change_percent:+.2g} % of the magnitude at {frequency_hz:.4g} Hz.",
-    effect="It is fitted, and U includes its uncertainty.",
+    effect="{consequence}",
     remedy="State `delay` or `response` of this channel.",
     link="identify.md#rival-models",
 )

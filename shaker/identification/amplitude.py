@@ -48,7 +48,7 @@ def amplitude_effect(curve: MeasuredCurve, fit: Resonance, excited: ExcitedLines
 
     `curve`: lines of the fit. Deflection y(t) and velocity follow from all excited lines; the forces y³ and sign(ẏ) act
     as further inputs of the linear oscillator (Adams and Allemang, Mech. Syst. Signal Process. 14, 2000), so that their
-    sizes are linear parameters.
+    sizes are linear parameters. A delay and the contribution of other modes are left free.
     """
     forces = _restoring_forces(excited)
     if forces is None:
@@ -57,8 +57,9 @@ def amplitude_effect(curve: MeasuredCurve, fit: Resonance, excited: ExcitedLines
     by_force = -forces * w0 * w0 * s * s / (s * s + 2.0 * fit.damping_ratio * w0 * s + w0 * w0)
     chosen = np.searchsorted(excited.frequency_hz, curve.frequency_hz)
     columns = list(by_force[:, chosen])
-    names = ("frequency_hz", "damping_ratio", "gain", "gain", *(("terms",) * 4 if np.any(fit.residual_terms) else ()))
+    names = ("frequency_hz", "damping_ratio", "gain", "gain", *("terms",) * 4)
     columns += [_slope(fit, curve.frequency_hz, name, number) for number, name in enumerate(names)]
+    columns.append(-laplace(curve.frequency_hz) * curve.value)  # a delay of a chain
     left = curve.value - fit.model(curve.frequency_hz)
     white = whitening_matrices(curve.covariance)
     rows = (white @ np.stack([np.real(both := np.column_stack([left, *columns])), np.imag(both)], axis=1)).reshape(

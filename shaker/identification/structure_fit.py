@@ -569,7 +569,10 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
     """Return the modes of every recording from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
-        for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):
+        roots, changes = curve.poles(state.parameters)
+        if not np.all(np.abs(roots) > 0.0):  # also NaN
+            raise ValueError("records: expected curves with the modes of the structure, found none")
+        for number, (root, change) in enumerate(zip(roots, changes, strict=True)):
             size, ratio = abs(root), float(-root.real / abs(root))
             by_size = (change * root.conj()).real / size
             u_size, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(-(change.real + ratio * by_size) / size)

@@ -35,6 +35,7 @@ from fusion.sensor.identify.joint_fit import (
     mass_name,
     model_sensitivity,
 )
+from fusion.sensor.identify.model_choice import loss_frequency_hz
 from fusion.sensor.identify.sine_curves import relative_errors, sine_transfers
 from fusion.sensor.response_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from shaker.identification.measured_curves import CurveError, MeasuredCurve, MeasuredSensitivity, ParameterEstimate
@@ -355,9 +356,24 @@ def _component(
     if fit.model == "pitching":
         notices.append(Notice(NO_BAND_OF_PITCHING_LOAD, fit.axis))
         loads = ()
-    bands, model = [usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads], found.model
+    bands, model = [_usable(fit, found.model, kg, settings.permitted) for kg in loads], found.model
     if fit.is_refuted:
         bands = [replace(band, u_upper_hz=np.nan) for band in bands]
         model = replace(model, covariance=np.full_like(model.covariance, np.nan))
     of_model = found.sensitivity, model, found.range_hz
     return IdentifiedComponent(fit, mass, readings, *of_model, loads, tuple(bands)), notices
+
+
+def _usable(fit: JointFit, model: SensorModel, load: float, permitted: float) -> UsableBand:
+    """Return the usable band with a load.
+
+    A loss factor acts at the edge as the damper of this frequency, and lowers the output at low frequencies too.
+    """
+    band = usable_band(model, Load(load, "force"), permitted)
+    if fit.choice.best.model.loss_factor and np.isfinite(band.upper_hz):
+        loss_hz = loss_frequency_hz(fit.identification, fit.axis)
+        at_edge = replace(model, damping=model.damping * loss_hz / band.upper_hz)
+        static = float(np.hypot(1.0, fit.identification.value(f"loss_factor_{fit.axis}")))
+        edge = usable_band(at_edge, Load(load, "force"), (1.0 + permitted) / static - 1.0)
+        band = replace(edge, permitted=permitted)
+    return band

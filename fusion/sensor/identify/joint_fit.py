@@ -205,9 +205,10 @@ def _fitted(
         structure = SpringSuspension((component, _PITCHES_WITH[component]), loss_hz, model.by_amplitude)
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if model.each else []
+    free = free and (model.structure != "adapter" or settings.internal_mass == "free")  # order of both springs
     inside = {} if free else {mass_name(axis): axis for axis in reversed(range(6)) if mass_name(axis) in names}
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
-    if inside and sensor is None:
+    if inside and sensor is None and not _mass_is_free(component, group, settings):
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
         raise InputError(declared.MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
     stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}

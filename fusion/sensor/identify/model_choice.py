@@ -35,6 +35,12 @@ def describe_choice(choice: ModelChoice, selected: str, peaks_hz: Sequence[float
     return reason
 
 
+def loss_frequency_hz(found: Identification, axis: str) -> float:
+    """Return the frequency at which b acts as the loss factor does."""
+    rate = found.value(f"loss_factor_{axis}") * found.value(f"stiffness_{axis}") / found.value(f"damping_{axis}")
+    return float(rate / (2.0 * np.pi))
+
+
 def verdict(choice: ModelChoice, rival: FittedRival) -> str:
     """Return what the data say of a rival."""
     if rival is choice.best:
@@ -53,7 +59,8 @@ def choice_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
     for channel in model.filtered:
         lag_s, change = unstated_lag_s(found, channel, highest_hz)
         values = {"lag_us": 1e6 * lag_s, "change_percent": 100.0 * change, "frequency_hz": highest_hz}
-        yield Notice(declared.UNSTATED_FILTER_FOUND, where, channel=channel, **values)
+        effect = "It is fitted, and U includes its uncertainty."
+        yield Notice(declared.UNSTATED_FILTER_FOUND, where, channel=channel, **values, consequence=effect)
     if choice.undecided:
         listed = "; ".join(str(rival.model) for rival in (choice.best, *choice.undecided))
         yield Notice(declared.MODELS_UNDECIDED, where, models=listed)
@@ -66,9 +73,7 @@ def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
     if model.loss_factor:
         viscous = [one for one in choice.tried if one.model == RivalModel(model.structure, filtered=model.filtered)]
         difference = choice.difference(viscous[0]) if viscous else np.inf
-        rate = next(one.value for one in found.derived if one.name.startswith("loss_factor"))
-        ending = next(one.name for one in found.derived).removeprefix("loss_factor")
-        frequency_hz = rate * found.value(f"stiffness{ending}") / found.value(f"damping{ending}") / (2.0 * np.pi)
+        frequency_hz = loss_frequency_hz(found, where.rpartition(" ")[2])
         yield Notice(declared.LOSS_FACTOR_FOUND, where, difference=difference, frequency_hz=frequency_hz)
     if model.by_amplitude:
         yield _by_amplitude(found, where, group)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -39,6 +40,8 @@ LAWS: tuple[DampingLaw, DampingLaw] = ("viscous", "loss factor")
 """The laws of damping that are compared."""
 _NEGLIGIBLE = 0.2  # standard uncertainties by which both laws may differ in f₀ without a decision
 _EXPLAINED = 1.2  # χ² per degree of freedom up to which a law explains the lines up to the valleys
+_DELAY = re.compile(r": delay$|^clock ")  # names of errors that delay a channel
+_LONGER = 3.0  # standard uncertainties from which a delay is not the stated one
 _DECISIVE = 6.0  # difference of χ² that decides, a likelihood ratio of 20
 
 
@@ -118,10 +121,17 @@ def find_resonances(
                 notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
                 continue
             others = [one for one in (*modes[:index], *modes[index + 1 :]) if isinstance(one, _Mode)]
-            best, other = _with_law(curve, peak, mode, others)
+            best, other, wide = _with_law(curve, peak, mode, others)
             one = _with_budget(curve, peak.lines, best, other, u_clock, influences)
             found.append(one)
             notices += _mode_notices(one, other, where)
+            late = _late(curve, wide) if len(peaks) == 1 else None
+            if late is not None:
+                values = {"lag_us": 1e6 * late, "change_percent": 0.0, "frequency_hz": frequency_hz}
+                effect = "The lines of the curve are turned by it, beyond their U."
+                notices.append(
+                    Notice(declared.UNSTATED_FILTER_FOUND, where, channel=name, **values, consequence=effect)
+                )
     return tuple(found), tuple(notices)
 
 
@@ -190,34 +200,57 @@ def _without(curve: _Curve, lines: slice, others: Sequence[_Mode]) -> ComplexArr
     return value
 
 
-def _with_law(curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]) -> tuple[_Mode, Resonance | None]:
-    """Return a mode with the law of damping that the data call for, and the fit by the other law if undecided.
+def _with_law(
+    curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]
+) -> tuple[_Mode, Resonance | None, Resonance | None]:
+    """Return a mode with the law of damping that the data call for, the fit by the other law if undecided, a wide fit.
 
     Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
     distinguish them, with the phase of gain and delay left free.
     """
-    if mode.fit.damping_ratio**2 * mode.fit.frequency_hz < _NEGLIGIBLE * mode.fit.u("frequency_hz"):
-        return mode, None
     residual_terms = "constant_re" in mode.fit.parameters
     try:
         other = curve.fit(peak.lines, mode.value, residual_terms=residual_terms, law="loss factor")
-        better = _decided(curve, peak.wide, _without(curve, peak.wide, others))
+        wide, is_decided = _wide_fit(curve, peak.wide, _without(curve, peak.wide, others))
     except (ValueError, np.linalg.LinAlgError):
-        return mode, None
-    if better == "loss factor":
-        return replace(mode, fit=other), None
-    return mode, None if better == "viscous" else other
+        return mode, None, None
+    if mode.fit.damping_ratio**2 * mode.fit.frequency_hz < _NEGLIGIBLE * mode.fit.u("frequency_hz"):
+        return mode, None, wide
+    if is_decided and wide is not None and wide.law == "loss factor":
+        return replace(mode, fit=other), None, wide
+    return mode, None if is_decided else other, wide
 
 
-def _decided(curve: _Curve, lines: slice, value: ComplexArray) -> DampingLaw | None:
-    """Return the law of damping that explains values (L,), None where both or neither do."""
+def _wide_fit(curve: _Curve, lines: slice, value: ComplexArray) -> tuple[Resonance | None, bool]:
+    """Return the oscillator that explains values (L,), None if none does, and whether it decides the law."""
     for residual_terms in (False, True):
         fits = [curve.fit(lines, value, residual_terms=residual_terms, delay=True, law=law) for law in LAWS]
         left = np.array([fit.chi_squared for fit in fits])
         best = fits[int(np.argmin(left))]
         if best.chi_squared < max(_EXPLAINED, 1.0 + 5.0 * np.sqrt(2.0 / best.dof)) * best.dof:
-            return best.law if float(np.ptp(left)) > _DECISIVE else None
-    return None
+            return best, float(np.ptp(left)) > _DECISIVE
+    return None, False
+
+
+def _late_notice(late_s: float, frequency_hz: float, where: str, channel: str) -> Notice:
+    """Return the notice of a delay that is not stated."""
+    effect = "It turns the lines of the curve beyond their U."
+    values = {"lag_us": 1e6 * late_s, "change_percent": 0.0, "frequency_hz": frequency_hz}
+    return Notice(declared.UNSTATED_FILTER_FOUND, where, channel=channel, **values, consequence=effect)
+
+
+def _late(curve: _Curve, wide: Resonance | None) -> float | None:
+    """Return the delay of a response over its base in s if it is longer than what is stated, else None.
+
+    Below its resonance a load follows its base, so that the delay of both chains remains. Errors of delay and clock are
+    the stated ones.
+    """
+    if wide is None or curve.kind != "transmissibility":
+        return None
+    turn = 2.0 * np.pi * curve.transfer.ratio.frequency_hz
+    stated = [np.max(np.abs(error.imag) / turn) for name, error in curve.errors.items() if _DELAY.search(name)]
+    limit = _LONGER * float(np.linalg.norm([wide.u("delay_s"), *stated]))
+    return wide.delay_s if abs(wide.delay_s) > limit else None
 
 
 def _peaks(curve: _Curve) -> list[_Peak]:
