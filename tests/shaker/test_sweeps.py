@@ -11,7 +11,7 @@ from scipy.signal import butter, csd, sosfilt, welch
 from scipy.stats import t as student
 from sweep_factory import BAND_HZ, FINER, MODES, RATE_HZ, FloatArray, Mode, accelerance, record, simulate, sweep
 
-from fusion.sensor.transfer.transfer_evaluation import find_resonances
+from fusion.sensor.transfer.resonances import find_resonances
 from fusion.sensor.transfer.transfer_records import repeat_errors
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.rest import RestError

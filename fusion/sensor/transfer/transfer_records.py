@@ -21,6 +21,7 @@ from fusion.recording.units import unit_notices
 from fusion.sensor import response_notices as declared
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.amplitude import AmplitudeEffect
 from shaker.identification.measured_curves import CurveError
 from shaker.identification.oscillator import Resonance
 from shaker.io.condition import examine_samples
@@ -77,7 +78,8 @@ class FoundResonance:
     """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
     `u_frequency_hz`, `u_damping_ratio`: standard uncertainties by noise and all common errors. `budget`: change of
-    frequency (Hz) and damping ratio by one standard deviation of each cause.
+    frequency (Hz) and damping ratio by one standard deviation of each cause. `amplitude`: deviation from a linear
+    spring and damper, None if none is significant. A resonance that its curve refutes has NaN as uncertainties.
     """
 
     response: str
@@ -87,6 +89,7 @@ class FoundResonance:
     u_frequency_hz: float
     u_damping_ratio: float
     budget: dict[str, tuple[float, float]]
+    amplitude: AmplitudeEffect | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ class ReferenceResult:
     random_covariance : (K, 2C, 2C) of the noise only.
     errors : errors common to all lines; of repeats that differ, the effect of each, which `transfer` has in its noise.
     resonances : resonances of the curves.
+    peaks : (C,), largest reading of each response from its mean, in its unit; empty if not known.
     """
 
     name: str
@@ -106,6 +110,7 @@ class ReferenceResult:
     random_covariance: FloatArray
     errors: tuple[CurveError, ...]
     resonances: tuple[FoundResonance, ...]
+    peaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
