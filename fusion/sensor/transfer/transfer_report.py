@@ -228,6 +228,9 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
         excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
     if excitation.period is not None:
         excited.append(f"period {excitation.period:g} s, {excitation.settle_periods} left out to settle")
+    further = len(evaluation.manifest.daq[0].further_files)
+    if further:
+        excited.append(f"{1 + further} files")
     used = {result.name for result in evaluation.references}
     used |= {name for result in evaluation.references for name in result.transfer.ratio.channels}
     channels = [
