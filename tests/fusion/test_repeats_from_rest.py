@@ -65,6 +65,7 @@ def result_of(folder: Path, **choices: object) -> tuple[ReferenceResult, set[str
     return found.references[0], {notice.code for notice in found.notices}
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_repeats_of_different_levels_are_joined(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result, codes = result_of(recording)
     ratio = result.transfer.ratio
