@@ -36,7 +36,10 @@ class AmplitudeEffect(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class ExcitedLines(Arrays):
-    """All excited lines of a periodic record: `frequency_hz` (K,), `ratio` (K,), acceleration of the base (K,)."""
+    """All excited lines of a periodic record.
+
+    `frequency_hz`, `ratio` and acceleration of the `base`, each (K,).
+    """
 
     frequency_hz: FloatArray
     ratio: ComplexArray
@@ -86,7 +89,10 @@ def _chi_squared(design: FloatArray, residual: FloatArray) -> float:
 
 
 def _restoring_forces(excited: ExcitedLines) -> ComplexArray | None:
-    """Return spectra (2, K) of y³ and sign(ẏ), y of largest deflection 1, over the base acceleration."""
+    """Return spectra (2, K) of y³ and sign(ẏ) over the base acceleration.
+
+    The largest deflection y is 1.
+    """
     frequency_hz = excited.frequency_hz
     spacing = float(np.min(np.diff(frequency_hz)))
     harmonic = np.rint(frequency_hz / spacing).astype(np.int64)
@@ -104,15 +110,18 @@ def _restoring_forces(excited: ExcitedLines) -> ComplexArray | None:
 
 
 def _slope(fit: Resonance, frequency_hz: FloatArray, name: str, number: int) -> ComplexArray:
-    """Return the derivative (L,) of the model by one parameter; gain and residual terms by real and imaginary part."""
+    """Return the derivative (L,) of the model by one parameter.
+
+    Gain and residual terms count by real and imaginary part.
+    """
     if name in ("frequency_hz", "damping_ratio"):
         step = _STEP * getattr(fit, name)
         moved = [replace(fit, **{name: getattr(fit, name) + sign * step}).model(frequency_hz) for sign in (1.0, -1.0)]
         return np.asarray((moved[0] - moved[1]) / (2.0 * step))
     part = 1j if number % 2 else 1.0
-    nothing = replace(fit, gain=0j, residual_terms=np.zeros(2, dtype=np.complex128))
+    empty = replace(fit, gain=0j, residual_terms=np.zeros(2, dtype=np.complex128))
     if name == "gain":
-        return replace(nothing, gain=1.0 + 0j).model(frequency_hz) * part
+        return replace(empty, gain=1.0 + 0j).model(frequency_hz) * part
     terms = np.zeros(2, dtype=np.complex128)
     terms[(number - 4) // 2] = part
-    return replace(nothing, residual_terms=terms).model(frequency_hz)
+    return replace(empty, residual_terms=terms).model(frequency_hz)
