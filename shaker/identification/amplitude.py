@@ -13,6 +13,7 @@ from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 _OVERSAMPLING = 8  # samples per period of the highest line, for powers of the motion
 _SIGNIFICANT = 20.0  # decrease of χ², over its excess, by two parameters; by chance in 5 of 100 000 fits
+_EXPLAINED, _MOST_LEFT = 1.5, 0.6  # χ² per degree of freedom, or share of it, that both forces must not exceed
 _OFF_GRID = 0.05  # distance from a harmonic of the line spacing, in spacings, that rounding explains
 _STEP = 1e-6  # relative step of differences
 
@@ -76,6 +77,8 @@ def amplitude_effect(curve: MeasuredCurve, fit: Resonance, excited: ExcitedLines
     excess = after / (len(residual) - design.shape[1])
     if (before - after) / max(1.0, excess) < _SIGNIFICANT:
         return None
+    if excess > max(_EXPLAINED, _MOST_LEFT * before / (len(residual) - design.shape[1])):
+        return None  # another cause, such as a second mode
     frequency, damping = fit.frequency_hz + solution[2], fit.damping_ratio + solution[3]
     changes = fit.frequency_hz / frequency - 1.0, fit.damping_ratio / damping - 1.0
     found = float(solution[0]), float(solution[1]), float(changes[0]), float(changes[1])

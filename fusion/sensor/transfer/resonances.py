@@ -114,6 +114,7 @@ def find_resonances(
             name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind, base
         )
         peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
+        curve = curve if len(peaks) == 1 else replace(curve, base=None)
         modes = _separated(curve, [peak.lines for peak in peaks])
         for index, (peak, mode) in enumerate(zip(peaks, modes, strict=True)):
             frequency_hz = float(transfer.ratio.frequency_hz[peak.line])
@@ -204,7 +205,6 @@ def _with_law(
     curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]
 ) -> tuple[_Mode, Resonance | None, Resonance | None]:
     """Return a mode by its law of damping, the other law, and a wide fit.
-
 
     Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
     distinguish them, with the phase of gain and delay left free.
