@@ -77,7 +77,7 @@ class Mechanics:
         return (weights @ flat).reshape(self.matrices.shape[1:]), weights @ self.forcing
 
     def damping_rate(self, s: ComplexArray) -> ComplexArray:
-        """Return the factor (K,) of B in the equation of motion at s (K,): s, or jω₀ of a loss factor."""
+        """Return the factor (K,) of B: s (K,), or jω₀ of a loss factor."""
         return np.full(len(s), 2j * np.pi * self.loss_hz) if self.loss_hz else s
 
 
@@ -204,7 +204,10 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
 def _loss_factor_poles(
     mechanics: Mechanics, mass: FloatArray, damping: FloatArray, stiffness: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return ω₀(-η/2 + j√(1 - η²/4)) of every mode, μ = ω₀²(1 + jη) of (K + jω_LB) u = μ M u, and derivatives."""
+    """Return the poles of modes with a loss factor, and their derivatives.
+
+    ω₀(-η/2 + j√(1 - η²/4)), from μ = ω₀²(1 + jη) of (K + jω_LB) u = μ M u.
+    """
     rate = 2j * np.pi * mechanics.loss_hz
     roots, vectors = np.linalg.eig(np.linalg.solve(mass, stiffness + rate * damping))
     order = np.argsort(roots.real)

@@ -301,7 +301,7 @@ SENSITIVITY_NOT_MEASURED = DeclaredNotice(
     remedy="Run `shakercal run` on sines of at least {fewest} frequencies.",
     link="identify.md",
 )
-MODEL_REFUTED = DeclaredNotice(
+MODEL_REJECTED = DeclaredNotice(
     "SC-890",
     "warning",
     "The data refute every model that was tried; {model} leaves residuals of {factor:.3g} times their noise.",

@@ -12,7 +12,7 @@ from shaker.signal_notices import NONLINEAR_DISTORTIONS
 from shakercal._common.notices import Notice
 
 _HIGHEST = 0.45  # share of the sampling rate up to which harmonics are examined
-_BESIDE = 1.02  # factor above the last excited line from which lines are examined
+_GUARD = 1.02  # factor above the last excited line from which lines are examined
 _SIGNIFICANT = 6.0  # standard deviations of the mean power of noise
 _OF_REFERENCE = (
     2.0  # times the reference's harmonics, amplified as the last excited lines, from which a response has own
@@ -22,17 +22,17 @@ _OF_REFERENCE = (
 def harmonics_above_band(
     record: TransferRecord, period_s: float, settle_periods: int, highest_hz: float
 ) -> Iterator[Notice]:
-    """Yield a notice of every response that repeats above the last excited line, `highest_hz`, more than the reference.
+    """Yield a notice of every response with more harmonics above the band than the reference.
 
     A spring or damper that depends on the amplitude turns part of the excitation into harmonics; noise differs between
     periods. `period_s` is the stated period.
     """
     rate = record.sample_rate_hz
     period = find_period(record.reference, period_s * rate, settle_periods)
-    if period.count < 3 or _BESIDE * highest_hz >= _HIGHEST * rate:
+    if period.count < 3 or _GUARD * highest_hz >= _HIGHEST * rate:
         return
     data = np.column_stack([record.reference, record.responses])
-    above = period_phasors(data, period, (_BESIDE * highest_hz / rate, _HIGHEST)).value
+    above = period_phasors(data, period, (_GUARD * highest_hz / rate, _HIGHEST)).value
     mean, count = above.mean(axis=0), len(above)
     noise = np.var(above, axis=0, ddof=1).mean(axis=0) / count
     power = np.mean(np.abs(mean) ** 2, axis=0)

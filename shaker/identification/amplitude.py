@@ -13,6 +13,7 @@ from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 _OVERSAMPLING = 8  # samples per period of the highest line, for powers of the motion
 _SIGNIFICANT = 20.0  # decrease of χ², over its excess, by two parameters; by chance in 5 of 100 000 fits
+_EXPLAINED, _MOST_LEFT = 1.5, 0.6  # χ² per degree of freedom, or share of it, that both forces must not exceed
 _OFF_GRID = 0.05  # distance from a harmonic of the line spacing, in spacings, that rounding explains
 _STEP = 1e-6  # relative step of differences
 
@@ -36,7 +37,10 @@ class AmplitudeEffect(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class ExcitedLines(Arrays):
-    """All excited lines of a periodic record: `frequency_hz` (K,), `ratio` (K,), acceleration of the base (K,)."""
+    """All excited lines of a periodic record.
+
+    `frequency_hz`, `ratio` and acceleration of the `base`, each (K,).
+    """
 
     frequency_hz: FloatArray
     ratio: ComplexArray
@@ -73,6 +77,8 @@ def amplitude_effect(curve: MeasuredCurve, fit: Resonance, excited: ExcitedLines
     excess = after / (len(residual) - design.shape[1])
     if (before - after) / max(1.0, excess) < _SIGNIFICANT:
         return None
+    if excess > max(_EXPLAINED, _MOST_LEFT * before / (len(residual) - design.shape[1])):
+        return None  # another cause, such as a second mode
     frequency, damping = fit.frequency_hz + solution[2], fit.damping_ratio + solution[3]
     changes = fit.frequency_hz / frequency - 1.0, fit.damping_ratio / damping - 1.0
     found = float(solution[0]), float(solution[1]), float(changes[0]), float(changes[1])
@@ -86,7 +92,10 @@ def _chi_squared(design: FloatArray, residual: FloatArray) -> float:
 
 
 def _restoring_forces(excited: ExcitedLines) -> ComplexArray | None:
-    """Return spectra (2, K) of y³ and sign(ẏ), y of largest deflection 1, over the base acceleration."""
+    """Return spectra (2, K) of y³ and sign(ẏ) over the base acceleration.
+
+    The largest deflection y is 1.
+    """
     frequency_hz = excited.frequency_hz
     spacing = float(np.min(np.diff(frequency_hz)))
     harmonic = np.rint(frequency_hz / spacing).astype(np.int64)
@@ -104,15 +113,18 @@ def _restoring_forces(excited: ExcitedLines) -> ComplexArray | None:
 
 
 def _slope(fit: Resonance, frequency_hz: FloatArray, name: str, number: int) -> ComplexArray:
-    """Return the derivative (L,) of the model by one parameter; gain and residual terms by real and imaginary part."""
+    """Return the derivative (L,) of the model by one parameter.
+
+    Gain and residual terms count by real and imaginary part.
+    """
     if name in ("frequency_hz", "damping_ratio"):
         step = _STEP * getattr(fit, name)
         moved = [replace(fit, **{name: getattr(fit, name) + sign * step}).model(frequency_hz) for sign in (1.0, -1.0)]
         return np.asarray((moved[0] - moved[1]) / (2.0 * step))
     part = 1j if number % 2 else 1.0
-    nothing = replace(fit, gain=0j, residual_terms=np.zeros(2, dtype=np.complex128))
+    empty = replace(fit, gain=0j, residual_terms=np.zeros(2, dtype=np.complex128))
     if name == "gain":
-        return replace(nothing, gain=1.0 + 0j).model(frequency_hz) * part
+        return replace(empty, gain=1.0 + 0j).model(frequency_hz) * part
     terms = np.zeros(2, dtype=np.complex128)
     terms[(number - 4) // 2] = part
-    return replace(nothing, residual_terms=terms).model(frequency_hz)
+    return replace(empty, residual_terms=terms).model(frequency_hz)

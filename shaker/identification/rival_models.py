@@ -1,4 +1,4 @@
-"""Rival models of the same curves, fitted one after the other until the data call for no other."""
+"""Rival models of the same curves, and the choice between them."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RivalModel:
 
 @dataclass(frozen=True)
 class FittedRival:
-    """A rival with its fit; `criterion`: χ² of residuals and stated errors, plus twice the number of parameters."""
+    """A rival model with its fit."""
 
     model: RivalModel
     identification: Identification
@@ -85,7 +85,10 @@ class FittedRival:
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """The rival that the data call for, all that were fitted, and those that the data leave open beside it."""
+    """The model that the data call for.
+
+    `tried`: all models that were fitted; `undecided`: those that the data do not refute.
+    """
 
     best: FittedRival
     tried: tuple[FittedRival, ...]
@@ -131,10 +134,10 @@ def choose_model(
             break
         if best.identification.misfit > _WORTH_MORE * before.identification.misfit:
             break
-    if best.identification.is_refuted:  # added features would be arbitrary
+    if best.identification.is_rejected:  # added features would be arbitrary
         best = simplest
     choice = ModelChoice(best, tuple(tried.values()), ())
-    if best.identification.is_refuted:
+    if best.identification.is_rejected:
         return choice
     undecided = [
         rival
@@ -170,7 +173,10 @@ def with_unstated_filters(
 
 
 def unstated_lag_s(found: Identification, channel: str, highest_hz: float) -> tuple[float, float]:
-    """Return lag in s and relative change of magnitude at the highest line of an unstated filter."""
+    """Return lag in s and relative loss of magnitude of an unstated filter.
+
+    The change of magnitude is that at `highest_hz`, the highest line.
+    """
     values = {
         n: size * unknown.estimate
         for n, size in _FILTER_TERMS
@@ -229,13 +235,19 @@ def _at_amplitude(found: Identification, level: float) -> Identification:
 
 
 def added_uncertainty(value: float, u: float, other: float, u_other: float) -> float:
-    """Return what another model adds to u, so that 2u covers its value with 95 %, signed as its difference."""
+    """Return what another model adds to u, signed as its difference.
+
+    2u then covers its value with 95 %.
+    """
     reach = max(u_other, 0.5 * abs(other - value) + _ONE_SIDED * u_other)
     return float(np.copysign(np.sqrt(max(0.0, reach**2 - u**2)), other - value))
 
 
 def _found_in(found: Identification, item: ParameterEstimate) -> tuple[float, float]:
-    """Return value and u of a number in another fit, of one damping per recording their mean, else unchanged."""
+    """Return value and u of a number in another fit.
+
+    Of one damping per recording it is their mean; a number that the fit lacks is unchanged.
+    """
     numbers, name = (*found.estimates, *found.derived), item.name.partition(": ")[0]
     same = [one for one in numbers if one.name == item.name] or [
         one for one in numbers if one.name.partition(": ")[0] == name

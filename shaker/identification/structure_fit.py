@@ -64,7 +64,10 @@ class ModeEstimate:
 
 @dataclass(frozen=True)
 class SmoothMisfit:
-    """Mean square of the means of residuals over neighbouring lines, 1 for independent noise, with its `dof`."""
+    """Mean square of residuals averaged over neighbouring lines.
+
+    `factor`: 1 for independent noise; `dof`: its degrees of freedom.
+    """
 
     factor: float
     dof: float
@@ -145,7 +148,7 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
         return self.excess * max(1.0, self.smooth.factor)
 
     @property
-    def is_refuted(self) -> bool:
+    def is_rejected(self) -> bool:
         """Whether the residuals are so much larger than the noise that the model is wrong."""
         return self.excess >= max(_NOISE_WARNING, 1.0 + _CHANCES * self.chance)
 
@@ -479,9 +482,9 @@ def _searched(problem: IdentificationProblem, vectors: Sequence[FloatArray]) -> 
 def _decimate(record: MeasuredTransfer) -> MeasuredTransfer:
     """Return a curve with its highest lines and a share of the others."""
     size = np.abs(record.ratio.value).max(axis=1)
-    kept = np.arange(len(size)) % max(1, len(size) // _COARSE_LINES) == 0
-    kept[np.argsort(-size)[:_COARSE_LINES]] = True
-    return record.at_lines(kept)
+    chosen = np.arange(len(size)) % max(1, len(size) // _COARSE_LINES) == 0
+    chosen[np.argsort(-size)[:_COARSE_LINES]] = True
+    return record.at_lines(chosen)
 
 
 def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[IdentificationProblem, FitState, ResidualNoise]:

@@ -132,7 +132,7 @@ def test_a_refuted_model_has_values_without_u(tmp_path, capsys):
     folder, out = _write(tmp_path / "campaign", _odd), tmp_path / "out"
     assert main(["identify", str(folder), "-o", str(out)]) == 0
     printed = capsys.readouterr()
-    assert raised.MODEL_REFUTED.code in printed.err
+    assert raised.MODEL_REJECTED.code in printed.err
     assert "refuted by the data" in printed.out
     assert "±" not in printed.out
     parameters = rows(out / "parameters.csv")
@@ -171,7 +171,7 @@ def test_damping_choices_restrict_the_rivals(tmp_path):
     values = notices[raised.DAMPING_DIFFERS.code]
     assert (values["lowest"], values["highest"]) == pytest.approx((900.0, 1800.0), rel=0.01)
     common = evaluate_identification(read_campaign(folder), IdentifySettings(model="translation", damping="common"))
-    assert common.components[0].fit.is_refuted
+    assert common.components[0].fit.is_rejected
     assert all(not one.model.each for one in common.components[0].fit.choice.tried)
     bare = replace(component.model, covariance=np.full_like(component.model.covariance, np.nan))
     assert np.all(np.isnan(bare.covariance_root(Load(4.0, "force"))))

@@ -144,13 +144,13 @@ def test_different_dampings_are_separate():
     assert values == pytest.approx([B, 2.0 * B], rel=3e-3)
 
 
-def test_where_every_model_is_refuted_the_simplest_has_no_u():
+def test_where_every_model_is_rejected_the_simplest_has_no_u():
     def odd(s: ComplexArray, mass: float) -> ComplexArray:
         return np.asarray(_spring(s, mass) * (1.0 + 0.05 * np.sin(s.imag / 300.0)))
 
     choice = _choice(_curves(odd))
     assert choice.best.model in (RivalModel(), RivalModel(loss_factor=True))
-    assert choice.best.identification.is_refuted
+    assert choice.best.identification.is_rejected
     assert choice.undecided == ()
     bare = without_uncertainty(choice.best.identification)
     assert bare.value("stiffness_z") == choice.best.identification.value("stiffness_z")

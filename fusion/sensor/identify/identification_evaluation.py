@@ -240,11 +240,11 @@ class IdentifiedComponent:
 
     @property
     def sensitivity_estimates(self) -> tuple[ParameterEstimate, ...]:
-        """Numbers of the explained sensitivity, without U where the data refute the model of the spring."""
+        """Numbers of the explained sensitivity; of a refuted model without U."""
         if self.sensitivity is None:
             return ()
         found = self.sensitivity.comparison.best.estimates
-        return tuple(replace(one, u=np.nan) for one in found) if self.fit.is_refuted else found
+        return tuple(replace(one, u=np.nan) for one in found) if self.fit.is_rejected else found
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ def _component(
         notices.append(Notice(NO_BAND_OF_PITCHING_LOAD, fit.axis))
         loads = ()
     bands, model = [_usable(fit, found.model, kg, settings.permitted) for kg in loads], found.model
-    if fit.is_refuted:
+    if fit.is_rejected:
         bands = [replace(band, u_upper_hz=np.nan) for band in bands]
         model = replace(model, covariance=np.full_like(model.covariance, np.nan))
     of_model = found.sensitivity, model, found.range_hz

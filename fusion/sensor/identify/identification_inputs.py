@@ -220,7 +220,7 @@ class PreparedTransfer:
 
     @property
     def amplitude_change(self) -> tuple[float, float]:
-        """Largest relative changes of natural frequency and damping ratio from rest to the amplitudes of the record."""
+        """Largest relative changes of natural frequency and damping ratio with the amplitude."""
         found = [one.amplitude for one in self.resonances if one.amplitude is not None]
         changes = [(0.0, 0.0), *((one.frequency_change, one.damping_change) for one in found)]
         frequency, damping = (max(parts, key=abs) for parts in zip(*changes, strict=True))
@@ -317,7 +317,10 @@ def _linearised(result: ReferenceResult) -> ReferenceResult:
 
 
 def _peak_acceleration(result: ReferenceResult, tops: Sequence[ChannelEntry]) -> float:
-    """Return the largest reading of the responses as an acceleration at the frequency of the highest line."""
+    """Return the largest reading of the responses as an acceleration.
+
+    Displacements and velocities count at the frequency of the highest line.
+    """
     ratio, readings = result.transfer.ratio, []
     for entry in tops:
         channel = ratio.channels.index(entry.name)

@@ -79,7 +79,7 @@ NUMBERS: list[TableColumn[FoundNumber]] = [
 def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
     """Yield every number of a component."""
     fit, axis = component.fit, component.name
-    found, how = fit.reported, f"joint fit, {fit.choice.best.model}{REFUTED if fit.is_refuted else ''}"
+    found, how = fit.reported, f"joint fit, {fit.choice.best.model}{REJECTED if fit.is_rejected else ''}"
     for estimate in found.estimates:
         stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
         yield axis, estimate, f"{how}, stated beforehand" if stated else how
@@ -100,7 +100,7 @@ def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
         yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
-REFUTED = ", refuted by the data"
+REJECTED = ", refuted by the data"
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "none"}
 _LARGEST_CAUSES = 12
 
@@ -132,9 +132,9 @@ def rivals_table(component: IdentifiedComponent) -> Table | None:
 
 
 def correlation_table(component: IdentifiedComponent) -> Table | None:
-    """Return the correlation of the parameters of the joint fit, None where the data refute it."""
+    """Return the correlation of the parameters, None of a refuted fit."""
     found = component.fit.identification
-    if component.fit.is_refuted:
+    if component.fit.is_rejected:
         return None
     labels = [_label(estimate.label) for estimate in found.estimates]
     cells = [[f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row] for row in found.correlation.tolist()]
@@ -143,8 +143,8 @@ def correlation_table(component: IdentifiedComponent) -> Table | None:
 
 
 def budget_table(component: IdentifiedComponent) -> Table | None:
-    """Return the contribution of every cause to the parameters, the largest first; None where the data refute it."""
-    if component.fit.is_refuted:
+    """Return the contribution of every cause, the largest first; None of a refuted fit."""
+    if component.fit.is_rejected:
         return None
     estimates = component.fit.identification.estimates
     size = np.abs([estimate.value for estimate in estimates])
@@ -250,7 +250,7 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
         for estimate in component.fit.reported.estimates:
             if estimate.name.partition(": ")[0] in main:
                 remark = f"U (k = {K:.2f}) = {_relative(estimate.value, estimate.u)} %"
-                remark = "model refuted by the data" if component.fit.is_refuted else remark
+                remark = "model refuted by the data" if component.fit.is_rejected else remark
                 shown.append(Headline(_label(capitalise(estimate.label)), _with_u(estimate), remark))
         if component.sensitivity is not None:
             where = f"of {LOAD_COMPONENTS[component.fit.component]}"
@@ -266,7 +266,7 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
     for component in evaluation.components:
         fit = component.fit
         yield f"{component.name}: {fit.choice.best.model} ({fit.reason}), {len(fit.prepared)} recordings"
-        if fit.is_refuted:
+        if fit.is_rejected:
             yield "  model refuted by the data: values without U"
         estimates = [*fit.reported.estimates, *fit.reported.derived]
         for estimate in [*estimates, *(e for e in component.sensitivity_estimates if e.name != "spring_time_s")]:
@@ -319,7 +319,7 @@ def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
     return {
         "name": component.name,
         "reason": f"{component.fit.choice.best.model}: {component.fit.reason}",
-        "refuted": component.fit.is_refuted,
+        "refuted": component.fit.is_rejected,
         "rivals": rivals_table(component),
         "parameters": parameters_table(component),
         "correlation": correlation_table(component),
@@ -422,7 +422,7 @@ def read_sensor_models(path: str | Path) -> SensorFile:
 def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
     """Return one component as nested dictionaries in SI units."""
     model, seen, identified = component.model, component.sensitivity, component.fit.reported
-    refuted = component.fit.is_refuted
+    rejected = component.fit.is_rejected
     values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
     damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
     mechanical = (identified[f"stiffness_{component.name}"], damper, component.internal_mass)
@@ -430,7 +430,7 @@ def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
     parameters = {
         "name": [*SENSOR_PARAMETERS, *model.chain.names],
         "value": values,
-        "u": [None] * len(values) if refuted else np.sqrt(model.covariance.diagonal()).tolist(),
+        "u": [None] * len(values) if rejected else np.sqrt(model.covariance.diagonal()).tolist(),
         "unit": [model.unit, *(estimate.unit for estimate in mechanical), *chain_units],
     }
     load = LOAD_COMPONENTS[component.fit.component]
@@ -439,7 +439,7 @@ def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
             mass,
             band.permitted,
             band.upper_hz if np.isfinite(band.upper_hz) else None,
-            None if refuted else band.u_upper_hz,
+            None if rejected else band.u_upper_hz,
         )
         for mass, band in zip(component.loads, component.bands, strict=True)
     ]
@@ -452,7 +452,7 @@ def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
         "frequency_range_hz": list(component.range_hz),
         "chain": model.chain.kind,
         "parameters": [dict(zip(parameters, row, strict=True)) for row in zip(*parameters.values(), strict=True)],
-        "covariance": None if refuted else model.covariance.tolist(),
+        "covariance": None if rejected else model.covariance.tolist(),
         "usable_bands": [dict(zip(("load", "permitted", "upper_hz", "u"), band, strict=True)) for band in bands],
     }
 
@@ -506,7 +506,7 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
 
 @dataclass(frozen=True)
 class RivalRow:
-    """A rival model in files: its words, number of parameters, χ² per degree of freedom, criterion and verdict."""
+    """A rival model as files describe it."""
 
     model: str
     parameters: int

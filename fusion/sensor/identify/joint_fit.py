@@ -79,14 +79,14 @@ class JointFit:
         return self.choice.best.model.structure
 
     @property
-    def is_refuted(self) -> bool:
+    def is_rejected(self) -> bool:
         """Whether the data refute the chosen model, so that its values have no U."""
-        return self.identification.is_refuted
+        return self.identification.is_rejected
 
     @property
     def reported(self) -> Identification:
         """The identification as reported."""
-        return without_uncertainty(self.identification) if self.is_refuted else self.identification
+        return without_uncertainty(self.identification) if self.is_rejected else self.identification
 
     @property
     def axis(self) -> str:
@@ -109,7 +109,7 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit the rival models of one component and return the one that the data call for."""
+    """Return the model of one component that the data call for."""
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
     refused: list[ComputeError] = []
@@ -130,11 +130,13 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
     except ValueError as error:
         raise refused[-1] from error
     identification = _with_amplitudes(_with_influences(covering(choice), group), group)
-    refuted = identification.is_refuted
-    notices = [one for one in identification.notices if not (refuted and one.code == MODEL_MISFIT.code)]
+    rejected = identification.is_rejected
+    notices = [one for one in identification.notices if not (rejected and one.code == MODEL_MISFIT.code)]
     if choice.best.model.structure == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
         notices.append(Notice(declared.SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
-    notices += choice_notices(choice, f"model {MOTION_COMPONENTS[component]}", group)
+    highest_hz = max(float(item.measured.ratio.frequency_hz.max()) for item in group)
+    forces = [item.amplitude for item in group if item.peak > 0.0]
+    notices += choice_notices(choice, f"model {MOTION_COMPONENTS[component]}", highest_hz, forces)
     reason = describe_choice(choice, settings.model, peaks)
     return JointFit(component, reason, free, choice, identification, tuple(group), tuple(notices))
 
@@ -142,7 +144,7 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
 def _richer(
     best: FittedRival, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings
 ) -> list[RivalModel]:
-    """Return models with another structure, or one more feature, where the data contradict the best one.
+    """Return models with one more feature, where the data contradict the best one.
 
     Springs that are not linear could pass for a joint or a filter, which are left out where the amplitude matters.
     """
@@ -171,7 +173,7 @@ def _richer(
 
 
 def _levels_differ(group: Sequence[PreparedTransfer]) -> bool:
-    """Return whether one load was recorded with different amplitudes, so that load and amplitude can be separated."""
+    """Return whether one load was recorded with different amplitudes."""
     pairs = [(one, other) for one in group for other in group if one.peak > 0.0 and other.peak > 0.0]
     return any(
         abs(one.load_kg - other.load_kg) <= _DIFFERENT * one.load_kg and other.peak > _OTHER_LEVEL * one.peak

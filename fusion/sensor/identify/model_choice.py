@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fusion.sensor import response_notices as declared
-from fusion.sensor.identify.identification_inputs import PreparedTransfer
 from shaker.identification.rival_models import FittedRival, ModelChoice, RivalModel, unstated_lag_s
 from shaker.identification.structure_fit import Identification
 from shaker.identification.structures import CHANGE
@@ -44,18 +43,20 @@ def loss_frequency_hz(found: Identification, axis: str) -> float:
 def verdict(choice: ModelChoice, rival: FittedRival) -> str:
     """Return what the data say of a rival."""
     if rival is choice.best:
-        return "refuted" if rival.identification.is_refuted else "chosen"
+        return "refuted" if rival.identification.is_rejected else "chosen"
     if rival in choice.undecided:
         return "not decided"
     return "more than needed" if rival.model.contains(choice.best.model) else "refuted by a better one"
 
 
-def choice_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTransfer]) -> Iterator[Notice]:
-    """Yield what the choice of a model means for the results."""
+def choice_notices(choice: ModelChoice, where: str, highest_hz: float, forces: Sequence[float]) -> Iterator[Notice]:
+    """Yield what the choice of a model means for the results.
+
+    `highest_hz`: last line of all curves; `forces`: largest force of the load in every recording of known amplitude.
+    """
     found, model = choice.best.identification, choice.best.model
-    highest_hz = max(float(item.measured.ratio.frequency_hz.max()) for item in group)
-    if found.is_refuted:
-        yield Notice(declared.MODEL_REFUTED, where, model=str(model), factor=np.sqrt(found.excess))
+    if found.is_rejected:
+        yield Notice(declared.MODEL_REJECTED, where, model=str(model), factor=np.sqrt(found.excess))
     for channel in model.filtered:
         lag_s, change = unstated_lag_s(found, channel, highest_hz)
         values = {"lag_us": 1e6 * lag_s, "change_percent": 100.0 * change, "frequency_hz": highest_hz}
@@ -64,10 +65,10 @@ def choice_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
     if choice.undecided:
         listed = "; ".join(str(rival.model) for rival in (choice.best, *choice.undecided))
         yield Notice(declared.MODELS_UNDECIDED, where, models=listed)
-    yield from _joint_notices(choice, where, group)
+    yield from _joint_notices(choice, where, forces)
 
 
-def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTransfer]) -> Iterator[Notice]:
+def _joint_notices(choice: ModelChoice, where: str, forces: Sequence[float]) -> Iterator[Notice]:
     """Yield notices of damping and mount."""
     found, model = choice.best.identification, choice.best.model
     if model.loss_factor:
@@ -76,7 +77,7 @@ def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
         frequency_hz = loss_frequency_hz(found, where.rpartition(" ")[2])
         yield Notice(declared.LOSS_FACTOR_FOUND, where, difference=difference, frequency_hz=frequency_hz)
     if model.by_amplitude:
-        yield _by_amplitude(found, where, group)
+        yield _by_amplitude(found, where, forces)
     if model.each:
         axis = where.rpartition(" ")[2]
         dampings = [one for one in found.estimates if one.name.partition(": ")[0] == f"damping_{axis}"]
@@ -87,17 +88,17 @@ def _joint_notices(choice: ModelChoice, where: str, group: Sequence[PreparedTran
         axis = where.rpartition(" ")[2]
         ratio = found.value(f"stiffness_{axis}_adapter") / found.value(f"stiffness_{axis}")
         yield Notice(declared.COMPLIANT_MOUNT_FOUND, where, ratio=ratio)
-    elif not found.is_refuted:
+    elif not found.is_rejected:
         yield Notice(declared.MOUNT_TREATED_AS_RIGID, where)
 
 
-def _by_amplitude(found: Identification, where: str, group: Sequence[PreparedTransfer]) -> Notice:
+def _by_amplitude(found: Identification, where: str, forces: Sequence[float]) -> Notice:
     """Return how much stiffness and damping change over the amplitudes of the recordings."""
-    axis, known = where.rpartition(" ")[2], [item.amplitude for item in group if item.peak > 0.0]
+    axis = where.rpartition(" ")[2]
     share = [100.0 / found.value(f"{name}_{axis}") for name in ("stiffness", "damping")]
     changes = {
         "stiffness_percent": share[0] * found.value(f"{CHANGE}stiffness_{axis}"),
         "damping_percent": share[1] * found.value(f"{CHANGE}damping_{axis}"),
     }
-    over = f"loads from {min(known):.3g} to {max(known):.3g} {'N' if len(axis) == 1 else 'N·m'}"
+    over = f"loads from {min(forces):.3g} to {max(forces):.3g} {'N' if len(axis) == 1 else 'N·m'}"
     return Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, range=over)

@@ -1,4 +1,4 @@
-"""Load over base motion from the results of sine recordings, as further points of the transfer functions."""
+"""Load over base motion from the results of sine recordings."""
 
 from __future__ import annotations
 

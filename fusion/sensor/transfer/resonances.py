@@ -28,7 +28,7 @@ _POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other m
 _VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
 _MOST = 12
 _ROUNDS = 4  # of fitting peaks one after the other, each without all others
-REFUTED_FROM = 3.0
+REJECTED_FROM = 3.0
 """Residuals over the noise, rms, from which one oscillator does not explain a peak and has no U."""
 LAW_OF_DAMPING = "law of damping, viscous or loss factor"
 """Cause in the budget."""
@@ -85,7 +85,7 @@ class _Curve:
         )
 
     def amplitude_effect(self, lines: slice, mode: _Mode) -> AmplitudeEffect | None:
-        """Return how a mode deviates from a linear one, None where that is not known or not significant."""
+        """Return how a mode deviates from a linear one, None if not significantly."""
         if self.base is None or self.kind != "transmissibility" or mode.fit.law != "viscous":
             return None
         excited = ExcitedLines(self.transfer.ratio.frequency_hz, self.value, self.base)
@@ -114,6 +114,7 @@ def find_resonances(
             name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind, base
         )
         peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
+        curve = curve if len(peaks) == 1 else replace(curve, base=None)
         modes = _separated(curve, [peak.lines for peak in peaks])
         for index, (peak, mode) in enumerate(zip(peaks, modes, strict=True)):
             frequency_hz = float(transfer.ratio.frequency_hz[peak.line])
@@ -136,7 +137,7 @@ def find_resonances(
 
 
 def _mode_notices(found: FoundResonance, other: Resonance | None, where: str) -> Iterator[Notice]:
-    """Yield notices of a resonance that its curve refutes, of its law of damping and of its amplitude."""
+    """Yield notices of misfit, law of damping and amplitude of a resonance."""
     fit, amplitude = found.fit, found.amplitude
     at = {"frequency_hz": fit.frequency_hz}
     if amplitude is not None:
@@ -161,7 +162,7 @@ def _mode_notices(found: FoundResonance, other: Resonance | None, where: str) ->
 
 @dataclass(frozen=True)
 class _Peak:
-    """The line of a peak, the lines to an eighth of it, and those up to the valleys around it."""
+    """A peak: its line, lines to an eighth of it, lines up to the valleys."""
 
     line: int
     lines: slice
@@ -203,7 +204,7 @@ def _without(curve: _Curve, lines: slice, others: Sequence[_Mode]) -> ComplexArr
 def _with_law(
     curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]
 ) -> tuple[_Mode, Resonance | None, Resonance | None]:
-    """Return a mode with the law of damping that the data call for, the fit by the other law if undecided, a wide fit.
+    """Return a mode by its law of damping, the other law, and a wide fit.
 
     Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
     distinguish them, with the phase of gain and delay left free.
@@ -222,7 +223,7 @@ def _with_law(
 
 
 def _wide_fit(curve: _Curve, lines: slice, value: ComplexArray) -> tuple[Resonance | None, bool]:
-    """Return the oscillator that explains values (L,), None if none does, and whether it decides the law."""
+    """Return the oscillator that explains values (L,), and whether it decides the law."""
     for residual_terms in (False, True):
         fits = [curve.fit(lines, value, residual_terms=residual_terms, delay=True, law=law) for law in LAWS]
         left = np.array([fit.chi_squared for fit in fits])
@@ -240,7 +241,7 @@ def _late_notice(late_s: float, frequency_hz: float, where: str, channel: str) -
 
 
 def _late(curve: _Curve, wide: Resonance | None) -> float | None:
-    """Return the delay of a response over its base in s if it is longer than what is stated, else None.
+    """Return the delay of a response in s if it is longer than stated.
 
     Below its resonance a load follows its base, so that the delay of both chains remains. Errors of delay and clock are
     the stated ones.
@@ -299,7 +300,7 @@ def _with_budget(
     u_clock: float,
     influences: ModelInfluences,
 ) -> FoundResonance:
-    """Return a fit with its uncertainty by noise, common errors, clock, influences, and the `other` law of damping.
+    """Return a fit with its uncertainty by noise and all other causes.
 
     U (k = 2) covers the values by the other law. A fit that the data refute has none.
     """
@@ -307,7 +308,7 @@ def _with_budget(
     where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
     amplitude = curve.amplitude_effect(lines, mode)
     excess = fit.chi_squared / fit.dof
-    if min(excess, excess if amplitude is None else amplitude.excess) >= REFUTED_FROM**2:
+    if min(excess, excess if amplitude is None else amplitude.excess) >= REJECTED_FROM**2:
         return FoundResonance(*where, fit, band_hz, np.nan, np.nan, {}, amplitude)
     residual_terms = "constant_re" in fit.parameters
     u_noise = fit.u("frequency_hz"), fit.u("damping_ratio")

@@ -58,7 +58,7 @@ from shakercal._common.arrays import FloatArray
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
-REFUTED = "model refuted by the data"
+REJECTED = "model refuted by the data"
 
 
 class TransferLine(NamedTuple):
@@ -185,7 +185,7 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
         value = quantity_html(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
         remarks = [f"U (k = 2) = {u:.2g} %" for u in (u_frequency, 100.0 * _relative_damping(found))]
-        remarks = remarks if np.isfinite(u_frequency) else [REFUTED] * 2
+        remarks = remarks if np.isfinite(u_frequency) else [REJECTED] * 2
         lines.append(Headline(f"Resonance of {_over(found)}", value, remarks[0]))
         lines.append(Headline("Damping ratio ζ", _damping(found, "%"), f"Q = {fit.quality:.5g}; {remarks[1]}"))
     return lines
@@ -201,8 +201,8 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
         fit = found.fit
         frequency = quantity_text(fit.frequency_hz, 2.0 * found.u_frequency_hz)
         damping = quantity_text(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio)
-        refuted = "" if np.isfinite(found.u_frequency_hz) else f" ({REFUTED})"
-        yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}{refuted}"
+        remark = "" if np.isfinite(found.u_frequency_hz) else f" ({REJECTED})"
+        yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}{remark}"
 
 
 def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
