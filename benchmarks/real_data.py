@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import csd, welch
+from scipy.stats import t as student
 
 from photogram.calibration.calibration_file import read_calibration
 from photogram.calibration.exchange.exchange_files import import_calibration
@@ -27,11 +29,14 @@ from photogram.motion import fit_motion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import match_stereo, track_sequence, track_stereo
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.frf.sweeps import transfer_from_rest
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import Resonance, fit_resonance
 from shaker.identification.sensor import NO_CHAIN, ChainModel, Load, SensorModel, correct_record, usable_band
 from shaker.io import read_channels
 from shaker.lines.frequencies import find_lines
+from shaker.signal_notices import REPEATS_DIFFER
 from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
@@ -222,6 +227,54 @@ def shaker_three_tone(folder: Path) -> Iterator[Row]:
     yield Row("×256 (200 Hz): 120 Hz", named, "", "480 and 720 Hz named")
 
 
+def chirp_measured(folder: Path) -> Iterator[Row]:
+    """Sweeps of a plate from rest to rest, one in each file: two of one view, one of another."""
+    names, band_hz, rate_hz = ("view_0", "view_0_02", "view_1"), (60.0, 500.0), 25600.0
+    records = []
+    for name in names:
+        stored = read_channels(folder / f"{name}.hdf5")
+        force, motion = (stored[f"InputTask/data/{number}"].samples for number in (1, 2))
+        records.append(TransferRecord(force, motion[:, None], rate_hz, "force", "N", ("acc",), ("m/s^2",)))
+    for used in ((0,), (0, 1), (0, 1, 2)):
+        found = transfer_from_rest([records[index] for index in used], band_hz=band_hz)
+        relative = _relative_u(found) * student.ppf(0.975, found.ratio.dof)
+        title = f"{len(used)} sweep{'s' if len(used) > 1 else ''}: lines, spacing, median U (95 %)"
+        here = f"{len(relative)}, {found.line_spacing_hz:g} Hz, {100 * np.median(relative):.2g} %"
+        yield Row(title, here)
+        differ = [notice.text for notice in found.notices if notice.code == REPEATS_DIFFER.code]
+        if differ:
+            yield Row(f"{len(used)} sweeps: what is said of the repeats", " ".join(differ))
+    single = [transfer_from_rest([record], band_hz=band_hz) for record in records]
+    whole = {"fs": rate_hz, "window": "boxcar", "nperseg": len(records[0].reference), "detrend": "constant"}
+    cross = np.sum([csd(record.reference, record.responses[:, 0], **whole)[1] for record in records], axis=0)
+    power = np.sum([welch(record.reference, **whole)[1] for record in records], axis=0)
+    h1 = (cross / power)[np.round(found.ratio.frequency_hz / found.line_spacing_hz).astype(np.int64)]
+    apart = np.abs(h1 / found.ratio.value[:, 0] - 1.0)
+    yield Row("3 sweeps against H1 of their periodograms (scipy): median, lines within U", _within(apart, relative))
+    for name, one in zip(names, single, strict=True):
+        same, of_one = np.isin(found.ratio.frequency_hz, one.ratio.frequency_hz), one.ratio
+        there = found.ratio.value[same, 0]
+        common = np.isin(of_one.frequency_hz, found.ratio.frequency_hz)
+        # A single repeat deviates from the mean of three by √2 of its standard uncertainty, and by its noise.
+        noise = _relative_u(one)[common]
+        limit = np.hypot(np.sqrt(2.0) * relative[same], 1.96 * noise)
+        yield Row(
+            f"{name} against all three: median, lines within U",
+            _within(np.abs(of_one.value[common, 0] / there - 1.0), limit),
+        )
+
+
+def _relative_u(found: TransferFunction) -> FloatArray:
+    """Return the relative standard uncertainty of a line, of its real or imaginary part."""
+    variance = 0.5 * np.trace(found.ratio.covariance, axis1=1, axis2=2)
+    return np.asarray(np.sqrt(variance) / np.abs(found.ratio.value[:, 0]))
+
+
+def _within(apart: FloatArray, limit: FloatArray) -> str:
+    """Return the median of differences and the share of them below their limit."""
+    return f"{100 * np.median(apart):.2g} %, {100 * np.mean(apart < limit):.0f} %"
+
+
 def uff(folder: Path) -> Iterator[Row]:
     """Universal files of other programs."""
     sine = read_channels(folder / "binary8byte.uff")["sine 5 Hz"]
@@ -387,6 +440,7 @@ SETS: tuple[Callable[[Path], Iterator[Row]], ...] = (
     static_stereo,
     undersampled_video,
     shaker_three_tone,
+    chirp_measured,
     uff,
     tdms,
     accelerometer_calibration,

@@ -12,6 +12,7 @@ from .frf.impact import transfer_impact as transfer_impact
 from .frf.periodic import transfer_periodic as transfer_periodic
 from .frf.random import transfer_random as transfer_random
 from .frf.result import TransferRecord as TransferRecord
+from .frf.sweeps import transfer_from_rest as transfer_from_rest
 from .identification.measured_curves import MeasuredCurve as MeasuredCurve
 from .identification.oscillator import fit_resonance as fit_resonance
 from .identification.sensor import Load as Load

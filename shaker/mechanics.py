@@ -53,6 +53,8 @@ class Mechanics:
     forcing : (1+P+E, n), f of each term.
     rows, offset : (C, n) and (C,), of the responses.
     reference, reference_offset : (n,) and a number, of the reference.
+    loss_hz : 0 for viscous damping. Otherwise the frequency in Hz at which B acts as viscous damping would: B s becomes
+        jω₀B at every frequency, a loss factor η = ω₀B/K (structural damping) that does not depend on it.
     """
 
     matrices: FloatArray
@@ -61,6 +63,7 @@ class Mechanics:
     offset: FloatArray
     reference: FloatArray
     reference_offset: float
+    loss_hz: float = 0.0
 
     def __post_init__(self) -> None:
         terms, size = self.forcing.shape
@@ -72,6 +75,10 @@ class Mechanics:
         """Return [M, B, K] (3, n, n) and f (n,) for weights (1+P+E,)."""
         flat = self.matrices.reshape(len(weights), -1)
         return (weights @ flat).reshape(self.matrices.shape[1:]), weights @ self.forcing
+
+    def damping_rate(self, s: ComplexArray) -> ComplexArray:
+        """Return the factor (K,) of B: s (K,), or jω₀ of a loss factor."""
+        return np.full(len(s), 2j * np.pi * self.loss_hz) if self.loss_hz else s
 
 
 @dataclass(frozen=True)
@@ -123,9 +130,10 @@ class MechanicalResponse:
         """
         matrices, forcing = self.mechanics.matrices[1:], self.mechanics.forcing[1:]
         parts, terms = [], []
-        for power, term_matrices in zip((2, 1, 0), matrices.swapaxes(0, 1), strict=True):
+        factors = (self.s * self.s, self.mechanics.damping_rate(self.s), np.ones_like(self.s))
+        for factor, term_matrices in zip(factors, matrices.swapaxes(0, 1), strict=True):
             row, column = np.nonzero(np.any(term_matrices, axis=0))
-            pushed = self.s[:, None] ** power * self.motion[:, column]
+            pushed = factor[:, None] * self.motion[:, column]
             parts.append(self.adjoint[:, :, row] * pushed[:, None])
             terms.append(term_matrices[:, row, column])
         (ahead,) = np.nonzero(np.any(forcing, axis=0))
@@ -140,7 +148,9 @@ class MechanicalResponse:
         """Derivatives (K, C) with respect to ln s; the frequency-dependent terms are treated as constant."""
         s1 = self.s[:, None]
         faster = 2.0 * s1 * s1 * (self.forcing + (self.mass @ self.motion[:, :, None])[:, :, 0])
-        return np.asarray(-np.sum(self.adjoint * (faster + s1 * (self.motion @ self.damping))[:, None], axis=2))
+        if not self.mechanics.loss_hz:
+            faster = faster + s1 * (self.motion @ self.damping)
+        return np.asarray(-np.sum(self.adjoint * faster[:, None], axis=2))
 
 
 def respond(
@@ -156,7 +166,7 @@ def respond(
         whole, push = whole + frequency_terms.mass, push + frequency_terms.forcing
     s1 = s[:, None]
     s2 = s1 * s1
-    dynamic = s2[:, :, None] * whole + s1[:, :, None] * damping + stiffness
+    dynamic = s2[:, :, None] * whole + mechanics.damping_rate(s)[:, None, None] * damping + stiffness
     inverse: ComplexArray = np.asarray(1.0 / dynamic if len(mass) == 1 else np.linalg.inv(dynamic), np.complex128)
     motion = -s2 * (inverse @ push[:, :, None])[:, :, 0]
     below = mechanics.reference_offset + motion @ mechanics.reference
@@ -168,9 +178,12 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
     """Return the poles λ (n,) with Im λ ≥ 0, ascending, and derivatives (n, P+E).
 
     They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² + dB λ + dK)u / uᵀ(2λM + B)u (Lancaster,
-    Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode the slower one is returned.
+    Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode the slower one is returned. With a loss
+    factor λ is the pole of viscous damping with the natural frequency and the damping ratio η/2 of the mode.
     """
     (mass, damping, stiffness), _ = mechanics.at(weights)
+    if mechanics.loss_hz:
+        return _loss_factor_poles(mechanics, mass, damping, stiffness)
     size = len(mass)
     unit = np.sqrt(np.trace(stiffness) / np.trace(mass))  # 1/s, so that the companion matrix is balanced
     companion = np.eye(2 * size, k=size)
@@ -186,6 +199,29 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
     norm = 2.0 * root * (pairs @ mass.ravel()) + pairs @ damping.ravel()
     change = (square[:, :, 0] * root[:, None] + square[:, :, 1]) * root[:, None] + square[:, :, 2]
     return root, -change / norm[:, None]
+
+
+def _loss_factor_poles(
+    mechanics: Mechanics, mass: FloatArray, damping: FloatArray, stiffness: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return the poles of modes with a loss factor, and their derivatives.
+
+    ω₀(-η/2 + j√(1 - η²/4)), from μ = ω₀²(1 + jη) of (K + jω_LB) u = μ M u.
+    """
+    rate = 2j * np.pi * mechanics.loss_hz
+    roots, vectors = np.linalg.eig(np.linalg.solve(mass, stiffness + rate * damping))
+    order = np.argsort(roots.real)
+    root, shape = roots[order], vectors[:, order].T
+    term_mass, term_damping, term_stiffness = mechanics.matrices[1:].swapaxes(0, 1)
+    by_term = np.einsum("ni,pij,nj->np", shape, term_stiffness + rate * term_damping, shape)
+    by_term = by_term - root[:, None] * np.einsum("ni,pij,nj->np", shape, term_mass, shape)
+    change = by_term / np.einsum("ni,ij,nj->n", shape, mass, shape)[:, None]
+    natural, ratio = np.sqrt(root.real), 0.5 * root.imag / root.real
+    by_natural = change.real / (2.0 * natural)[:, None]
+    by_ratio = 0.5 * change.imag / root.real[:, None] - (ratio / root.real)[:, None] * change.real
+    rest = np.sqrt(np.maximum(1.0 - ratio**2, np.finfo(np.float64).tiny))
+    pole, slope = natural * (-ratio + 1j * rest), natural * (-1.0 - 1j * ratio / rest)
+    return pole, (pole / natural)[:, None] * by_natural + slope[:, None] * by_ratio
 
 
 @dataclass(frozen=True)

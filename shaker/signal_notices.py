@@ -301,3 +301,47 @@ ESTIMATOR_FEW_HITS = DeclaredNotice(
     effect="The force window removes most of the noise on the force.",
     link="transfer.md",
 )
+
+# Transfer functions from records that begin and end at rest.
+
+REST_ESTIMATE = DeclaredNotice(
+    "SC-337",
+    "note",
+    "The transfer function at {lines} lines {spacing_hz:.6g} Hz apart is estimated from {repeats} repeats in {records} "
+    "records, each from rest to rest.",
+    effect="It has no leakage and no bias by noise on either channel.",
+    link="transfer.md",
+)
+SINGLE_REPEAT = DeclaredNotice(
+    "SC-338",
+    "warning",
+    "There is one record from rest to rest only.",
+    effect="U includes the noise at rest, but not the repeatability of the measurement.",
+    remedy="Record at least three repeats, and name their files in `repeats`.",
+    link="transfer.md",
+)
+REPEATS_DIFFER = DeclaredNotice(
+    "SC-902",
+    "warning",
+    "Between {low_hz:.6g} and {high_hz:.6g} Hz the repeats scatter by {percent:.2g} %, {times:.2g} times their noise.",
+    effect="U includes this scatter. The result is the mean of the repeats.",
+    remedy="Check mounting, cables and temperature.",
+    link="transfer.md",
+)
+AMPLITUDE_DEPENDENCE = DeclaredNotice(
+    "SC-909",
+    "warning",
+    "Between {low_hz:.6g} and {high_hz:.6g} Hz repeats whose levels differ by a factor of {factor:.3g} scatter by "
+    "{percent:.2g} %, {times:.2g} times their noise.",
+    effect="The structure may depend on the amplitude. U includes the scatter. The result is the mean of the repeats.",
+    remedy="Evaluate each level by itself, and check for loose or touching parts.",
+    link="transfer.md",
+)
+RINGS_AT_END = DeclaredNotice(
+    "SC-339",
+    "warning",
+    "The signal still moves at {frequency_hz:.4g} Hz at the {end} of the record.",
+    effect="Lines near this frequency may be wrong by {share_percent:.2g} %, which U does not include.",
+    remedy="Start the record earlier or stop it later, so that the signal is at rest.",
+    link="transfer.md",
+)

@@ -105,6 +105,7 @@ from shaker import read_universal_shapes as read_universal_shapes
 from shaker import solve_frame as solve_frame
 from shaker import survey_lines as survey_lines
 from shaker import tie_clocks as tie_clocks
+from shaker import transfer_from_rest as transfer_from_rest
 from shaker import transfer_impact as transfer_impact
 from shaker import transfer_periodic as transfer_periodic
 from shaker import transfer_random as transfer_random

@@ -424,11 +424,11 @@ def run(options: argparse.Namespace) -> int:
 def _transfer_options(parser: Parser) -> None:
     parser.recording()
     text = (
-        "default: auto: with a period the ratio of means over periods, for noise local polynomials, for "
-        "blows by coherence"
+        "default: auto: from rest to rest over repeats, with a period the ratio of means over periods, for noise local "
+        "polynomials, for blows by coherence"
     )
-    parser.choice("--estimator", ("auto", "periodic", "local", "H1", "H2", "Hv"), text)
-    text = "line spacing without a stated period (default: 16 adjacent segments; for blows: 1 Hz)"
+    parser.choice("--estimator", ("auto", "rest", "periodic", "local", "H1", "H2", "Hv"), text)
+    text = "line spacing without a stated period (default: 16 over the record; from rest to rest 1; for blows 1 Hz)"
     parser.value("--resolution", hertz, "HZ", text)
     text = "convert every motion into this quantity (default: as measured)"
     parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)

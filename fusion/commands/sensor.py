@@ -41,9 +41,10 @@ def rotate(options: argparse.Namespace) -> None:
 def _identify_options(parser: Parser) -> None:
     parser.value("campaign", path, "CAMPAIGN", "folder of a campaign or of one recording")
     parser.allow_outside()
-    text = "default: auto, translation, and pitching if there is a second peak"
+    text = "default: auto, translation, and another one that the data call for"
     parser.choice("--model", ("auto", "translation", "pitching", "adapter"), text)
-    parser.choice("--damping", ("common", "each"), "one for all recordings, or one for each")
+    text = "default: auto, one damper or loss factor of all recordings, and one of each that the data call for"
+    parser.choice("--damping", ("auto", "common", "each"), text)
     text = "default: auto, fitted if two load masses or more separate it from the stiffness, else that of rig.toml"
     parser.choice("--internal-mass", ("auto", "free", "stated"), text)
     parser.value("--band", not_negative, ("LOW", "HIGH"), "lines to fit, in Hz (default: all)", nargs=2)

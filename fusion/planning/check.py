@@ -40,6 +40,7 @@ from fusion.recording.units import unit_notices
 from fusion.recording.values import PULSE
 from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.signal_notices import PERIODIC_ESTIMATE, REST_ESTIMATE
 from shakercal._common.notices import Notice
 
 RIG, NO_REFERENCE = "rig.toml", "no channel"
@@ -47,6 +48,8 @@ CODE = re.compile(r"^SC-\d{3} ")
 """Code at the beginning of an error."""
 ASSUMED_EXACT, NOT_FUSED = "assumed exact", "compared with the others, not fused"
 """Use of a channel without a stated scale uncertainty."""
+METHODS = (PERIODIC_ESTIMATE.code, REST_ESTIMATE.code)
+"""Notes of what the command will do."""
 REFERENCE_HZ = 160.0
 """Frequency at which responses are read without stated lines (ISO 16063-21)."""
 
@@ -141,7 +144,8 @@ def check(manifest: Manifest) -> CheckReport:
     if report.problems:
         return report
     problems, notices = read_for_command(manifest, already)
-    warned = [f"{notice.where}: {notice.text}" for notice in notices if notice.severity == "warning"]
+    shown = [notice for notice in notices if notice.severity == "warning" or notice.code in METHODS]
+    warned = [f"{notice.where}: {notice.text}" for notice in shown]
     return replace(report, problems=tuple(problems), remarks=(*report.remarks, *warned))
 
 
@@ -215,7 +219,7 @@ def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notic
             notices += [notice for images in set_up.images for notice in images.notices]
             notices += [notice for channel in with_channels(set_up, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
-        from fusion.sensor.transfer.transfer_evaluation import estimate_transfer
+        from fusion.sensor.transfer.transfer_estimate import estimate_transfer
         from fusion.sensor.transfer.transfer_records import TransferSettings, read_synchronous
 
         for together in read_synchronous(manifest):
@@ -364,7 +368,9 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
 def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tuple[str, list[str]]:
     """Return channels, samples and rate of a DAQ file, and its problems."""
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
-    text = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
+    further = daq.further_files
+    repeats = f" and {len(further)} repeats" if further else ""
+    text = f"daq {daq.name}: {daq.file.name}{repeats}, {_size([daq.file, *further])}: {listed}"
     try:
         points = scanned_points(block, daq)
         if points is None:

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
-from fusion.recording.excitation import ExcitationEntry
+from fusion.recording.excitation import KINDS, ExcitationEntry
 from fusion.recording.recording_notices import (
     CONTRADICTING_VALUES,
     FRAMES_DO_NOT_MATCH,
@@ -40,6 +40,7 @@ from fusion.recording.values import (
     Mask,
     NotNegative,
     Number,
+    PathScope,
     Position,
     Positive,
     Region,
@@ -49,6 +50,7 @@ from fusion.recording.values import (
     Version,
     array_of_tables,
     describe,
+    existing,
     refusal,
     refuse_foreign,
     refuse_missing,
@@ -297,15 +299,33 @@ class ChannelEntry(ManifestBlock):
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
 
 
+def _repeats(value: object, info: ValidationInfo) -> tuple[Path, ...]:
+    """Return the files of a path, a pattern or a list of them, each once."""
+    listed = value if isinstance(value, list | tuple) else [value]
+    resolve = existing(PathScope.files, "paths or a pattern such as sweep-*.h5")
+    found = [resolve(item, info) for item in listed]
+    files = [file for item in found for file in (item if isinstance(item, tuple) else (item,))]
+    return tuple(dict.fromkeys(_daq_suffix(file) for file in files))
+
+
 class Daq(ManifestBlock):
-    """One DAQ file with one clock."""
+    """One DAQ file with one clock.
+
+    `repeats`: further files of the same channels, of the same measurement.
+    """
 
     name: Text
     file: Annotated[ExistingFile, AfterValidator(_daq_suffix)]
+    repeats: Annotated[tuple[Path, ...], BeforeValidator(_repeats)] = ()
     clock_uncertainty: Share = 0.0
     sample_rate: Annotated[Positive, HERTZ] | None = None
     first_edge: Annotated[int, Field(ge=-FARTHEST_EDGE, le=FARTHEST_EDGE)] | None = None
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
+
+    @property
+    def further_files(self) -> tuple[Path, ...]:
+        """The files of the repeats without the first one, which a pattern may include."""
+        return tuple(file for file in self.repeats if file != self.file)
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
         """Return block and point of a scan's channel `2/3`; otherwise the name and ""."""
@@ -479,7 +499,7 @@ class SetUpFiles(ManifestBlock):
         """Files named in these tables."""
         files = []
         for daq in self.daq:
-            files += [daq.file, *(entry.response for entry in daq.channel if entry.response)]
+            files += [daq.file, *daq.repeats, *(entry.response for entry in daq.channel if entry.response)]
         for images in self.images:
             files += [*images.left, *images.right]
         return files + [file for points in self.points for file in points.files]
@@ -510,3 +530,21 @@ class RecordingFile(SetUpFiles):
     shaker: Shaker | None = None
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()
     acknowledged: Annotated[tuple[Acknowledgement, ...], BeforeValidator(array_of_tables)] = ()
+
+    @model_validator(mode="after")
+    def _repeats_in_every_block(self) -> Self:
+        blocks: tuple[SetUpFiles, ...] = (self, *self.take)
+        counts = {daq.name: len(daq.further_files) for block in blocks for daq in block.daq}
+        name = next((name for name, count in counts.items() if count), None)
+        if name is None:
+            return self
+        kind = self.excitation.kind
+        if KINDS[kind].commands != ("transfer",):
+            why = f'one for kind = "{kind}"'
+            raise refusal("no such key", why, key=f"daq.{name}.repeats", declared=KEY_NOT_APPLICABLE)
+        other = next((name for name, count in counts.items() if count != max(counts.values())), None)
+        if other is not None:
+            expected = f"{max(counts.values())} further files, as in the other blocks"
+            found = f"{counts[other]}"
+            raise refusal(expected, found, key=f"daq.{other}.repeats", declared=CONTRADICTING_VALUES)
+        return self

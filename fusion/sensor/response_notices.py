@@ -73,6 +73,23 @@ CHIRP_WITHOUT_PERIOD = DeclaredNotice(
     remedy="State `period` if the chirp repeats.",
     link="transfer.md",
 )
+NOT_FROM_REST = DeclaredNotice(
+    "SC-697",
+    "error",
+    "expected a record that begins and ends at rest, found motion of {percent:.2g} % of its largest level at the {end}",
+    effect="Only records from rest to rest are joined as repeats.",
+    remedy="Start the record earlier or stop it later. State `period` for an excitation that repeats in one file.",
+    link="transfer.md",
+)
+EVALUATED_AS_NOISE = DeclaredNotice(
+    "SC-698",
+    "warning",
+    "The chirp is evaluated as noise, because the signal moves at {percent:.2g} % of its largest level at the {end} of "
+    "the record.",
+    effect="Lines are coarser. The uncertainty is estimated from neighbouring lines.",
+    remedy="Record from rest to rest, or state `period` if the chirp repeats.",
+    link="transfer.md",
+)
 PEAK_NOT_FITTED = DeclaredNotice(
     "SC-694",
     "note",
@@ -83,9 +100,10 @@ PEAK_NOT_FITTED = DeclaredNotice(
 PEAK_DEPARTS = DeclaredNotice(
     "SC-695",
     "warning",
-    "The peak at {frequency_hz:.6g} Hz deviates from one oscillator by {ratio:.2g} times the noise.",
-    effect="Its frequency and damping ratio depend on the lines that are fitted.",
-    remedy="Use the joint fit of `shakercal identify`, or record with finer lines.",
+    "The peak at {frequency_hz:.6g} Hz deviates from one linear oscillator by {ratio:.2g} times the noise.",
+    effect="The data refute the model: frequency and damping ratio have no U. The peak may be of two modes, or its "
+    "stiffness or damping may change with the amplitude.",
+    remedy="Repeat at half the level: a resonance that moves is not linear. Use the joint fit of `shakercal identify`.",
     link="transfer.md",
 )
 SCALE_UNCERTAINTY_NOT_STATED = DeclaredNotice(
@@ -94,6 +112,21 @@ SCALE_UNCERTAINTY_NOT_STATED = DeclaredNotice(
     "No uncertainty of the scale is stated for {channels}.",
     effect="U does not include the scale of these channels.",
     remedy="State `scale_uncertainty`.",
+    link="transfer.md",
+)
+RESONANCE_LOSS_FACTOR = DeclaredNotice(
+    "SC-897",
+    "note",
+    "The damping at {frequency_hz:.6g} Hz follows a loss factor η = 2ζ rather than a damper.",
+    effect="f₀ is √(k/m)/2π with this damping.",
+    link="transfer.md",
+)
+LAW_UNDECIDED = DeclaredNotice(
+    "SC-898",
+    "note",
+    "The curve does not show whether the damping at {frequency_hz:.6g} Hz is viscous or a loss factor.",
+    effect="The values are those of viscous damping. U covers both: f₀ differs by the share {share:.2g}.",
+    remedy="Record more lines below the resonance, with less noise.",
     link="transfer.md",
 )
 
@@ -267,4 +300,70 @@ SENSITIVITY_NOT_MEASURED = DeclaredNotice(
     effect="The model has {sensitivity} and no measuring chain.",
     remedy="Run `shakercal run` on sines of at least {fewest} frequencies.",
     link="identify.md",
+)
+MODEL_REJECTED = DeclaredNotice(
+    "SC-890",
+    "warning",
+    "The data refute every model that was tried; {model} leaves residuals of {factor:.3g} times their noise.",
+    effect="Its values have no U.",
+    remedy="Check the mounting, the stated parts of the load and the measuring chains, or restrict the band.",
+    link="identify.md#rival-models",
+)
+UNSTATED_FILTER_FOUND = DeclaredNotice(
+    "SC-891",
+    "warning",
+    "The chain of {channel} has a delay or filter that is not stated: {lag_us:+.3g} µs at low frequencies, "
+    "{change_percent:+.2g} % of the magnitude at {frequency_hz:.4g} Hz.",
+    effect="{consequence}",
+    remedy="State `delay` or `response` of this channel.",
+    link="identify.md#rival-models",
+)
+LOSS_FACTOR_FOUND = DeclaredNotice(
+    "SC-892",
+    "note",
+    "The damping follows a loss factor rather than a damper (Akaike's criterion differs by {difference:.3g}).",
+    effect="b is given for {frequency_hz:.5g} Hz; at other frequencies it changes as 1/f.",
+    link="identify.md#rival-models",
+)
+DAMPING_DIFFERS = DeclaredNotice(
+    "SC-893",
+    "warning",
+    "The recordings have different dampings, from {lowest:.4g} to {highest:.4g} {unit}.",
+    effect="Each recording has a separate damping. The model has their mean, and its U includes their scatter.",
+    remedy="Check the joints of the loads, and whether the damping changes with the amplitude.",
+    link="identify.md#rival-models",
+)
+MODELS_UNDECIDED = DeclaredNotice(
+    "SC-894",
+    "warning",
+    "The data do not decide between these models: {models}.",
+    effect="The values are those of the first one; U covers those of the others.",
+    remedy="Record another load mass, or state what is known of mounting and chains.",
+    link="identify.md#rival-models",
+)
+COMPLIANT_MOUNT_FOUND = DeclaredNotice(
+    "SC-895",
+    "warning",
+    "The mount between base accelerometer and sensor gives: its stiffness is {ratio:.3g} times that of the sensor.",
+    effect="Mount and sensor are fitted as two springs.",
+    remedy="Measure the base at the foot of the sensor.",
+    link="identify.md#rival-models",
+)
+MOUNT_TREATED_AS_RIGID = DeclaredNotice(
+    "SC-896",
+    "note",
+    "The mount between base accelerometer and sensor is treated as rigid, because the data show no other.",
+    effect="k is the stiffness between the measured motions of base and load.",
+    remedy="Measure the base at the foot of the sensor.",
+    link="identify.md#rival-models",
+    possible_size="k too low by the share k/k_mount, 9 % for a light mount ten times as stiff as the sensor",
+)
+CHANGES_WITH_AMPLITUDE = DeclaredNotice(
+    "SC-899",
+    "warning",
+    "Stiffness and damping change with the amplitude, by {stiffness_percent:+.2g} % and {damping_percent:+.2g} % over "
+    "{range}.",
+    effect="Spring and damper are not linear. U covers linear models within this range of amplitude, not beyond it.",
+    remedy="Record at the level of the later use.",
+    link="identify.md#rival-models",
 )

@@ -16,7 +16,7 @@ from shakercal._common.notices import Notice
 
 # Input and result of the estimate of a transfer function.
 
-Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
+Estimator = Literal["H1", "H2", "Hv", "periodic", "local", "rest"]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class TransferRecord:
 
 
 @dataclass(frozen=True)
-class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlation D"):
+class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlation D; repeat_effects M K C"):
     """Responses over a reference at K lines, H = Y/X.
 
     Attributes
@@ -91,6 +91,8 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
     line_correlation : (D,), correlation of the errors of lines 0, 1, 2 … grid lines apart, [1] where independent.
     notices : notices of the measurement.
     added_decay_per_s : decay a of an exponential window, so that `ratio` is H(s) at s = a + jω.
+    repeat_effects : (M, K, C), relative effect of each repeat on the ratio beyond the noise, as a standard uncertainty
+        common to all lines; None if the repeats differ by no more than their noise.
     """
 
     ratio: Phasors
@@ -102,6 +104,7 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
     line_correlation: ComplexArray
     notices: tuple[Notice, ...] = ()
     added_decay_per_s: float = 0.0
+    repeat_effects: ComplexArray | None = None
 
     def __repr__(self) -> str:
         return f"TransferFunction({self.estimator} over {self.reference}: {self.ratio})"
@@ -109,7 +112,11 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
         """Return the lines chosen by a mask (K,) or by indices."""
         return replace(
-            self, ratio=self.ratio.at_lines(lines), coherence=self.coherence[lines], averages=self.averages[lines]
+            self,
+            ratio=self.ratio.at_lines(lines),
+            coherence=self.coherence[lines],
+            averages=self.averages[lines],
+            repeat_effects=None if self.repeat_effects is None else self.repeat_effects[:, lines],
         )
 
     def between(self, band_hz: tuple[float, float]) -> TransferFunction:
@@ -144,10 +151,12 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     """
     from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-    lines = reference.shape[1]
-    magnitude = np.abs(reference.mean(axis=0))
-    # The standard uncertainty of the mean over periods, of both quadratures together, from lines nearby.
-    scatter = np.sum(np.abs(reference - reference.mean(axis=0)) ** 2, axis=0) / (len(reference) - 1)
+    lines, mean = reference.shape[1], reference.mean(axis=0)
+    magnitude = np.abs(mean)
+    # The standard uncertainty of the mean over periods, of both quadratures together, from lines nearby. A level that
+    # changes from period to period is no noise.
+    level = np.sum(reference * mean.conj(), axis=1) / max(float(np.sum(magnitude**2)), np.finfo(np.float64).tiny)
+    scatter = np.sum(np.abs(reference - level[:, None] * mean) ** 2, axis=0) / (len(reference) - 1)
     smooth = uniform_filter1d(scatter, size=min(2 * _NEARBY + 1, lines), mode="nearest")
     signal = magnitude > _SIGNAL * np.sqrt(np.maximum(smooth, scatter) / len(reference))
     nearby = maximum_filter1d(magnitude, size=min(2 * _NEARBY + 1, lines), mode="nearest")

@@ -104,6 +104,7 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     origin, without the internal mass of the sensor. `line_correlation` (D,) as in `TransferFunction`. `clock`,
     `u_clock`: name and relative standard uncertainty of the clock, which applies to all frequencies.
     `placement_errors`: uncertain positions and directions of the transducers. `bending`: None for a rigid load.
+    `level`: amplitude of the recording among others, from -1/2 to 1/2.
     """
 
     name: str
@@ -120,6 +121,7 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     u_clock: float = 0.0
     placement_errors: tuple[PlacementError, ...] = ()
     bending: Bending | None = None
+    level: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,6 +146,14 @@ class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     def noise(self) -> FloatArray:
         """Standard uncertainty (K, C) of each ratio, rms of Re and Im."""
         return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
+
+    def at_lines(self, lines: BoolArray) -> MeasuredTransfer:
+        """Return the curves at the lines of a mask (K,)."""
+        bending = self.bending
+        if bending is not None:
+            bending = replace(bending, inertia=bending.inertia[:, lines], stretch=bending.stretch[:, lines])
+        errors = tuple(replace(error, relative=error.relative[lines]) for error in self.errors)
+        return replace(self, ratio=self.ratio.at_lines(lines), errors=errors, bending=bending)
 
     def poles(self, count: int) -> ComplexArray:
         """Return the common poles (count,) of all ratios by `rational_poles`."""

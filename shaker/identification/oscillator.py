@@ -24,6 +24,7 @@ from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
+DampingLaw = Literal["viscous", "loss factor"]
 
 _OSCILLATOR_PARAMETERS = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
 _RESIDUAL_PARAMETERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
@@ -44,7 +45,7 @@ class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P")
     complex: contribution of all other modes, mass line R₋/s² and constant R₊. Delay and residual terms are zero if they
     were not fitted. `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is
     enlarged by χ²/dof if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by
-    ν/(ν - 2) for ν degrees of freedom. Its mean is `dof` for noise alone.
+    ν/(ν - 2) for ν degrees of freedom. Its mean is `dof` for noise alone. `law`: of a loss factor η = 2ζ.
     """
 
     kind: ResonanceKind
@@ -57,13 +58,14 @@ class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P")
     covariance: FloatArray
     chi_squared: float
     dof: float
+    law: DampingLaw = "viscous"
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
         """Return H(s) (K,) at s = a + jω, with the added decay a."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
         vector += [part for term in self.residual_terms for part in (term.real, term.imag)]
         return _evaluate(
-            self.kind,
+            _Shape(self.kind, self.law),
             (*_OSCILLATOR_PARAMETERS, "delay_s", *_RESIDUAL_PARAMETERS),
             laplace(frequency_hz, added_decay_per_s),
             np.array(vector),
@@ -82,8 +84,26 @@ class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P")
         return 0.5 / self.damping_ratio
 
 
+@dataclass(frozen=True)
+class _Shape:
+    """Form of an oscillator's response: its excitation and its law of damping."""
+
+    kind: ResonanceKind
+    law: DampingLaw
+
+    @property
+    def power(self) -> int:
+        """Power of s before the shape."""
+        return _POWER_OF_S[self.kind]
+
+
 def fit_resonance(
-    curve: MeasuredCurve, kind: ResonanceKind, *, delay: bool = False, residual_terms: bool = False
+    curve: MeasuredCurve,
+    kind: ResonanceKind,
+    *,
+    delay: bool = False,
+    residual_terms: bool = False,
+    law: DampingLaw = "viscous",
 ) -> Resonance:
     """Fit one resonance to a measured curve (K lines).
 
@@ -97,6 +117,8 @@ def fit_resonance(
         fit a factor exp(-sτ), default False
     residual_terms
         fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
+    law
+        "viscous" (default) or "loss factor": damping that does not depend on frequency
 
     Raises
     ------
@@ -105,7 +127,8 @@ def fit_resonance(
     Notes
     -----
     With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
-    mobility G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. The residuals are whitened by their
+    mobility G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. With a loss factor η = 2ζ the
+    term 2ζp is jη; the same peak then has f₀ lower by the share ζ². The residuals are whitened by their
     covariance; the fit starts at `rational_poles`. If the covariance has few degrees of freedom, the weights follow
     from it and the residuals (`estimate_residual_noise`). The correlation between lines enters the covariance of the
     result.
@@ -128,7 +151,7 @@ def fit_resonance(
     )
     if 2 * len(curve.frequency_hz) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
-    vector, jacobian, noise = _fit_reweighted(curve, kind, names)
+    vector, jacobian, noise = _fit_reweighted(curve, _Shape(kind, law), names)
     flat = jacobian.reshape(-1, len(names))
     scale = np.linalg.norm(flat, axis=0)
     root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
@@ -148,25 +171,27 @@ def fit_resonance(
         covariance=np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale)),
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
+        law=law,
     )
 
 
 def _evaluate(
-    kind: ResonanceKind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
+    form: _Shape, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return H (K,) and its derivatives (K, P) with respect to the named parameters."""
     fitted = dict(zip(names, vector, strict=True))
     zeta, delay = fitted["damping_ratio"], fitted.get("delay_s", 0.0)
     gain = complex(fitted["gain_re"], fitted["gain_im"])
-    base_excited = float(kind == "transmissibility")
+    base_excited, viscous = float(form.kind == "transmissibility"), float(form.law == "viscous")
     p = s / (2.0 * np.pi * fitted["frequency_hz"])
-    pole = 1.0 + 2.0 * zeta * p + p * p
-    shape = (1.0 + base_excited * 2.0 * zeta * p) / pole
-    before = s ** _POWER_OF_S[kind] * np.exp(-s * delay)
-    by_p = (base_excited * 2.0 * zeta - shape * (2.0 * zeta + 2.0 * p)) / pole
+    damper = p if form.law == "viscous" else np.full_like(p, 1j)
+    pole = 1.0 + 2.0 * zeta * damper + p * p
+    shape = (1.0 + base_excited * 2.0 * zeta * damper) / pole
+    before = s**form.power * np.exp(-s * delay)
+    by_p = (base_excited * viscous * 2.0 * zeta - shape * (viscous * 2.0 * zeta + 2.0 * p)) / pole
     columns = {
         "frequency_hz": before * gain * by_p * (-p / fitted["frequency_hz"]),
-        "damping_ratio": before * gain * (base_excited - shape) * 2.0 * p / pole,
+        "damping_ratio": before * gain * (base_excited - shape) * 2.0 * damper / pole,
         "gain": before * shape,
         "mass_line": before / s**2,
         "constant": before,
@@ -186,13 +211,13 @@ def _whiten_columns(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
 
 
 def _fit_reweighted(
-    curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
+    curve: MeasuredCurve, form: _Shape, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, ResidualNoise]:
     """Fit with weights from covariance and residuals; return parameters, whitened derivatives, noise."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
-    size, noise = np.abs(s ** _POWER_OF_S[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
-    response, lowest = curve.value / s ** _POWER_OF_S[kind], -2 if "mass_line_re" in names else 0
+    size, noise = np.abs(s**form.power), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
+    response, lowest = curve.value / s**form.power, -2 if "mass_line_re" in names else 0
     (pole,) = rational_poles(s, response[:, None], (noise / size)[:, None], 1, lowest)
     if abs(pole) > np.abs(s).max():
         pole = np.abs(s[np.argmax(np.abs(response))]) * (-0.01 + 1j)
@@ -200,7 +225,7 @@ def _fit_reweighted(
     vector[:2] = abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)
     for _ in range(1 + _MAX_REWEIGHTINGS):
         weighed = whitening / np.sqrt(factor)[:, None, None]
-        vector, residual, jacobian = _fit_weighted(kind, names, s, curve.value, weighed, vector)
+        vector, residual, jacobian = _fit_weighted(form, names, s, curve.value, weighed, vector)
         length = np.sum(residual**2, axis=1) * factor
         seen = estimate_residual_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
         before, factor = factor, seen.lines[0]
@@ -210,7 +235,7 @@ def _fit_reweighted(
 
 
 def _fit_weighted(
-    kind: ResonanceKind,
+    form: _Shape,
     names: tuple[str, ...],
     s: ComplexArray,
     value: ComplexArray,
@@ -227,11 +252,11 @@ def _fit_weighted(
             return None
         vector = np.zeros(len(names))
         vector[~linear] = parameters
-        design = _whiten_columns(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
+        design = _whiten_columns(whitening, _evaluate(form, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
 
         def changes(coefficients: FloatArray) -> BlockJacobian:
             vector[linear] = coefficients[:, 0]
-            slopes = _whiten_columns(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
+            slopes = _whiten_columns(whitening, _evaluate(form, names, s, vector)[1][:, ~linear])
             return BlockJacobian(np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1))
 
         return SeparablePoint(parameters, [LinearBlock(design, measured, changes)])
@@ -243,7 +268,7 @@ def _fit_weighted(
         raise ValueError("value: expected a transfer function with a resonance inside its band, found none")
     vector = start.copy()
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
-    model, derivative = _evaluate(kind, names, s, vector)
+    model, derivative = _evaluate(form, names, s, vector)
     return vector, _whiten_columns(whitening, (value - model)[:, None])[:, :, 0], _whiten_columns(whitening, derivative)
 
 

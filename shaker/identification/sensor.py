@@ -144,7 +144,7 @@ class SensorModel(Arrays):
 
     `sensitivity` S₀ in `unit`, `stiffness` k in N/m, `damping` b in kg/s, `internal_mass` m_i in kg, which may be
     estimated below 0; for a rotation N·m/rad, N·m·s/rad and kg·m². `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i,
-    parameters of the chain].
+    parameters of the chain], NaN for a model that its data refute.
     """
 
     sensitivity: float
@@ -197,6 +197,8 @@ class SensorModel(Arrays):
     def covariance_root(self, load: Load) -> FloatArray:
         """Return deviations (4 + P + 1, E) of parameters and load mass."""
         count = len(self.covariance)
+        if np.any(np.isnan(self.covariance)):  # a model that its data refute
+            return np.full((count + 1, 1), np.nan)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
         return covariance_root(whole)

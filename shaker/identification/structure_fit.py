@@ -27,7 +27,7 @@ from shaker.identification.measured_curves import (
     estimate_residual_noise,
     line_correlation_term,
 )
-from shaker.identification.structures import MechanicalStructure
+from shaker.identification.structures import CHANGE, MechanicalStructure
 from shaker.labels import typeset
 from shaker.model_notices import (
     DAMPING_UNDETERMINED,
@@ -62,6 +62,22 @@ class ModeEstimate:
     u_damping_ratio: float
 
 
+@dataclass(frozen=True)
+class SmoothMisfit:
+    """Mean square of residuals averaged over neighbouring lines.
+
+    `factor`: 1 for independent noise; `dof`: its degrees of freedom.
+    """
+
+    factor: float
+    dof: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether neighbouring lines deviate together by more than chance."""
+        return bool(self.factor > 1.0 + _CHANCES * np.sqrt(2.0 / self.dof))
+
+
 @dataclass(frozen=True, repr=False)
 class Identification(Arrays, shapes="estimates P; covariance P P"):
     """Parameters of a structure from all recordings together.
@@ -75,6 +91,10 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     unknowns : named errors as estimated
     model, residual : (K, C) per recording, the curve with all estimated errors, and measured minus model
     chi_squared, dof : of the residuals over the stated covariances
+    penalty : χ² of the stated errors and numbers as estimated
+    free : number of parameters without a stated value
+    excess, chance : χ²/dof over its expectation for noise, at least 1, and its relative standard deviation for noise
+    smooth : the same of mean residuals over neighbouring lines, over that of single lines
     budget : contributions (P,) by cause
 
     Notes
@@ -93,6 +113,11 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     residual: tuple[ComplexArray, ...]
     chi_squared: float
     dof: float
+    penalty: float
+    free: int
+    excess: float
+    chance: float
+    smooth: SmoothMisfit
     notices: tuple[Notice, ...]
     budget: Mapping[str, FloatArray] = field(default_factory=dict)
 
@@ -111,6 +136,21 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     def u(self, name: str) -> float:
         """Return the standard uncertainty of a parameter or derived number."""
         return self[name].u
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise as stated, independent between lines, explains the residuals."""
+        return self.excess < max(_NOISE_NOTE, 1.0 + _CHANCES * self.chance) and not self.smooth.is_significant
+
+    @property
+    def misfit(self) -> float:
+        """χ² of means of neighbouring lines over that of noise as stated."""
+        return self.excess * max(1.0, self.smooth.factor)
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether the residuals are so much larger than the noise that the model is wrong."""
+        return self.excess >= max(_NOISE_WARNING, 1.0 + _CHANCES * self.chance)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -223,6 +263,33 @@ def effective(problem: IdentificationProblem, state: FitState) -> float:
     return float(np.trace(np.linalg.lstsq(whole / pair, (whole - np.diag(problem.precision)) / pair, rcond=1e-12)[0]))
 
 
+_BLOCKS, _FEWEST_IN_BLOCK = 16, 8  # blocks of neighbouring lines of a curve, and lines of the smallest one
+
+
+def smooth_misfit(problem: IdentificationProblem, state: FitState) -> SmoothMisfit:
+    """Return how much the residuals of neighbouring lines deviate together, along and across the model.
+
+    A cause that the model lacks, such as a filter or a joint, deviates smoothly and moves parameters by far more than
+    noise of the same size.
+    """
+    total, dof = 0.0, -float(len(problem.kind))
+    for part, residual in zip(state.modelled, state.residuals, strict=True):
+        lines = len(residual)
+        blocks = min(_BLOCKS, lines // _FEWEST_IN_BLOCK)
+        if blocks < 2:
+            continue
+        order = np.argsort(part.curve.record.ratio.frequency_hz, kind="stable")
+        real, imaginary = np.split(residual, 2, axis=1)
+        along = ((real + 1j * imaginary) * np.exp(-1j * np.angle(part.value)))[order]
+        edges = np.linspace(0, lines, blocks + 1).astype(np.int64)
+        correlation = part.curve.record.line_correlation
+        wider = 1.0 if correlation is None else 1.0 + 2.0 * float(np.sum(correlation[1:].real))
+        sums = np.add.reduceat(along, edges[:-1], axis=0)
+        total += float(np.sum(np.abs(sums) ** 2 / np.diff(edges)[:, None]) / wider)
+        dof += 2.0 * sums.size
+    return SmoothMisfit(total / dof if dof > 0.0 else 1.0, max(dof, 1.0))
+
+
 @dataclass(frozen=True, repr=False)
 class UnknownsCovariance(Arrays):
     """Covariance of all unknowns, and the directions that the recordings do not determine.
@@ -256,11 +323,12 @@ class UnknownsCovariance(Arrays):
         return np.asarray(covariance)
 
 
-def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹ of all unknowns.
+def spread(problem: IdentificationProblem, state: FitState, smooth: float) -> UnknownsCovariance:
+    """Return the covariance A⁻¹ (S JᵀRJ + P) A⁻¹ of all unknowns.
 
-    A = JᵀJ + P, R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1,
-    which keeps the digits of directions that the stated masses and scales do not determine.
+    A = JᵀJ + P, R is the correlation between lines, S the factor of a smooth misfit, P the precision of the priors. The
+    basis is chosen such that A = 1, which keeps the digits of directions that the stated masses and scales do not
+    determine.
     """
     count, free = len(state.parameters), ~problem.fixed
     unit = np.diag(free.astype(np.float64))
@@ -279,7 +347,11 @@ def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovarianc
     for curve, by_all in zip(problem.curves, wide, strict=True):
         real, imaginary = np.split(by_all @ basis, 2, axis=1)
         record = curve.record
-        middle += line_correlation_term(record.ratio.frequency_hz, real + 1j * imaginary, record.line_correlation)
+        middle += smooth * line_correlation_term(
+            record.ratio.frequency_hz, real + 1j * imaginary, record.line_correlation
+        )
+        flat = (by_all @ basis).reshape(-1, basis.shape[1])
+        middle += (smooth - 1.0) * (flat.T @ flat)
     prior = basis @ basis.T * np.sqrt(problem.precision)
     unsettled = float(np.linalg.norm(state.normal[1] @ basis))
     return UnknownsCovariance(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
@@ -311,6 +383,8 @@ def _notices(
     whole = np.nan_to_num(whole_inertia(problem, state.parameters))
     for index in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
         estimate = estimates[index]
+        if estimate.name.startswith(CHANGE):
+            continue
         if problem.precision[index] > 0.0:
             yield from _against_stated(estimate, problem.expected[index], problem.precision[index] ** -0.5)
         elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[index]):
@@ -350,6 +424,7 @@ def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Ite
 # All recordings in one complex least-squares fit.
 
 _EXPLAINED = 4.0  # χ² per real number below which no other start is tried
+_COARSE_LINES = 200  # highest lines of a curve, and about as many others, for the first search of coupled motions
 _NOISE_ROUNDS = 4  # of reweighting by the residuals, at most
 
 
@@ -383,15 +458,33 @@ def identify(
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than {len(problem.names)} unknowns, found {lines}")
-    tried: list[FitState] = []
     vectors = starting_vectors(problem, structure.starts(records))
+    if structure.body.shape[1] > 1:  # a long search of coupled motions, at first over few lines
+        fewer = [_decimate(record) for record in records]
+        coarse = build_problem(fewer, structure, stated_values or {}, each_recording)
+        vectors = [_searched(coarse, vectors).parameters]
+    weighted, state, noise = _weighed(problem, _searched(problem, vectors))
+    return _result(weighted, state, noise)
+
+
+def _searched(problem: IdentificationProblem, vectors: Sequence[FloatArray]) -> FitState:
+    """Return the best minimum from several starts."""
+    tried: list[FitState] = []
+    lines = sum(2 * curve.record.ratio.value.size for curve in problem.curves)
     starts = filter(None, (evaluate(problem, vector) for vector in vectors))
     for start in sorted(starts, key=lambda state: state.loss):
         tried.append(solve(problem, start))
         if tried[-1].loss < _EXPLAINED * lines:
             break
-    weighted, state, noise = _weighed(problem, min(tried, key=lambda state: state.loss))
-    return _result(weighted, state, spread(weighted, state), noise)
+    return min(tried, key=lambda state: state.loss)
+
+
+def _decimate(record: MeasuredTransfer) -> MeasuredTransfer:
+    """Return a curve with its highest lines and a share of the others."""
+    size = np.abs(record.ratio.value).max(axis=1)
+    chosen = np.arange(len(size)) % max(1, len(size) // _COARSE_LINES) == 0
+    chosen[np.argsort(-size)[:_COARSE_LINES]] = True
+    return record.at_lines(chosen)
 
 
 def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[IdentificationProblem, FitState, ResidualNoise]:
@@ -418,9 +511,9 @@ def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[Identific
     return weighted, state, noise
 
 
-def _result(
-    problem: IdentificationProblem, state: FitState, found: UnknownsCovariance, noise: ResidualNoise
-) -> Identification:
+def _result(problem: IdentificationProblem, state: FitState, noise: ResidualNoise) -> Identification:
+    smooth = smooth_misfit(problem, state)
+    found = spread(problem, state, smooth.factor if smooth.is_significant else 1.0)
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
         ParameterEstimate(p.name, p.label, float(state.parameters[index]), found.u(unit[index]), p.unit)
@@ -446,13 +539,19 @@ def _result(
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
         chi_squared=noise.chi_squared,
         dof=noise.dof,
+        penalty=float(problem.precision @ (problem.expected - state.parameters) ** 2),
+        free=int(np.count_nonzero((problem.precision == 0.0) & ~problem.fixed)),
+        excess=noise.common,
+        chance=noise.chance,
+        smooth=smooth,
         notices=tuple(_notices(problem, state, found, estimates, noise)),
         budget={"noise": noise_left, **causes},
     )
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring."""
+    """Return b/k of every damper with its spring, or the loss factor."""
+    rate = 2.0 * np.pi * problem.curves[0].mechanics.loss_hz
     indices = {parameter.name: index for index, parameter in enumerate(problem.parameters)}
     derived = []
     for name, index in indices.items():
@@ -463,7 +562,9 @@ def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovari
         ending, b, k = name.removeprefix("damping_"), state.parameters[index], state.parameters[shared]
         gradient = np.zeros(len(state.parameters))
         gradient[index], gradient[shared] = 1.0 / k, -b / k**2
-        derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
+        named = (f"loss_factor_{ending}", f"loss factor, {ending}") if rate else (f"lag_{ending}", f"b/k, {ending}")
+        scale, unit = (rate, "1") if rate else (1.0, "s")
+        derived.append(ParameterEstimate(*named, float(scale * b / k), scale * found.u(gradient), unit))
     return tuple(derived)
 
 
@@ -471,7 +572,10 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
     """Return the modes of every recording from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
-        for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):
+        roots, changes = curve.poles(state.parameters)
+        if not np.all(np.abs(roots) > 0.0):  # also NaN
+            raise ValueError("records: expected curves with the modes of the structure, found none")
+        for number, (root, change) in enumerate(zip(roots, changes, strict=True)):
             size, ratio = abs(root), float(-root.real / abs(root))
             by_size = (change * root.conj()).real / size
             u_size, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(-(change.real + ratio * by_size) / size)

@@ -58,15 +58,19 @@ def _internal(component: int) -> StructureParameter:
     return StructureParameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", unit)
 
 
-def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
+def _seen(
+    record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray, loss_hz: float
+) -> Mechanics:
     """Return the mechanics of p with the readings of a recording."""
     rows = np.stack([sight.row for sight in record.tops])
     base = float(record.base.row @ record.drive)
-    return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base)
+    return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base, loss_hz)
 
 
 SENSOR = "sensor"
 """Name of the stage of the sensor."""
+CHANGE = "change_"
+"""Begin of the names of changes from the smallest to the largest amplitude."""
 _SPACING = 1.5  # factor between the resonances of the components in a start
 _WIDE_SPACING = 6.0  # the same if only the lowest is observed
 _MOST_ORDERS = 24  # assignments of resonances to components, at most
@@ -83,10 +87,13 @@ class SpringSuspension:
     translation). With component z alone H = (k + bs)/((m + m_i)s² + bs + k). (0, 4) is pitching: the height of the
     centre of mass couples x and ry in M. (4,) is a rotation, J α against k_ry. The internal mass is unknown: one mass
     for all translations, one moment of inertia per rotation. Recordings of a single load do not determine it;
-    `identify` uses a stated value.
+    `identify` uses a stated value. `loss_hz` as in `Mechanics`: 0 for viscous damping, else b is that of a loss factor
+    at this frequency. `by_amplitude`: k and b change in proportion to `record.level`, by one parameter each.
     """
 
     components: tuple[int, ...]
+    loss_hz: float = 0.0
+    by_amplitude: bool = False
 
     def __post_init__(self) -> None:
         chosen = self.components
@@ -98,7 +105,12 @@ class SpringSuspension:
         """Stiffness and damping of each free component, then internal mass and moments of inertia."""
         axes = [(c, MOTION_COMPONENTS[c]) for c in self.components]
         springs, dampers = zip(*(_spring_and_damper(c, axis, axis) for c, axis in axes), strict=True)
-        return (*springs, *dampers, *(parameter for parameter, _ in self._internal))
+        changing = (*springs, *dampers) if self.by_amplitude else ()
+        changes = (
+            StructureParameter(f"{CHANGE}{one.name}", f"change over the amplitudes of {one.label}", one.unit)
+            for one in changing
+        )
+        return (*springs, *dampers, *changes, *(parameter for parameter, _ in self._internal))
 
     @property
     def _internal(self) -> list[tuple[StructureParameter, FloatArray]]:
@@ -117,13 +129,16 @@ class SpringSuspension:
         size = len(free)
         masses = [record.mass_matrix, *(matrix for _, matrix in self._internal)]
         masses += [error.change for error in record.inertia_errors]
-        full = np.stack([masses[0], *np.zeros((2 * size, 6, 6)), *masses[1:]])
+        factors = (1.0, record.level) if self.by_amplitude else (1.0,)
+        full = np.stack([masses[0], *np.zeros((2 * size * len(factors), 6, 6)), *masses[1:]])
         matrices = np.zeros((len(full), 3, size, size))
         matrices[:, 0] = full[:, free[:, None], free]
         index = np.arange(size)
-        matrices[1 + index, 2, index, index] = 1.0
-        matrices[1 + size + index, 1, index, index] = 1.0
-        return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
+        for number, factor in enumerate(factors):
+            first = 1 + 2 * size * number
+            matrices[first + index, 2, index, index] = factor
+            matrices[first + size + index, 1, index, index] = factor
+        return _seen(record, self.body, matrices, (full @ record.drive)[:, free], self.loss_hz)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return starts (S, P), resonances around the largest ratio in every order."""
@@ -137,7 +152,8 @@ class SpringSuspension:
         orders = np.array([order for omega in spacings for order in islice(permutations(omega), _MOST_ORDERS)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
         damping = 2.0 * _DAMPING_RATIO * orders * inertia
-        return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), len(self._internal)))])
+        rest = len(self.parameters) - 2 * size
+        return np.hstack([orders**2 * inertia, damping, np.zeros((len(orders), rest))])
 
 
 @dataclass(frozen=True)
@@ -161,6 +177,7 @@ class ChainStructure:
 
     component: int
     stages: tuple[Stage, ...] = (Stage("adapter"), Stage(SENSOR))
+    loss_hz: float = 0.0
 
     def __post_init__(self) -> None:
         check_stages(tuple(stage.name for stage in self.stages))
@@ -203,7 +220,7 @@ class ChainStructure:
         stage_forcing = forcing[mass][massive] * record.drive[self.component]
         moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][massive], load[1:] * last])
         pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], stage_forcing, push[1:] * ahead])
-        return _seen(record, self.body, moved, pushed)
+        return _seen(record, self.body, moved, pushed, self.loss_hz)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return start values (S, P) from the measured poles in every order."""

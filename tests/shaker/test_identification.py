@@ -242,7 +242,9 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     assert bad.chi_squared > 4.0 * bad.dof
     notice = notices_at(bad, "identification")[MODEL_MISFIT.code]
     assert notice.values["factor"] == pytest.approx(np.sqrt(bad.chi_squared / bad.dof), rel=1e-4)
-    enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof)
+    assert bad.smooth.is_significant
+    assert not good.smooth.is_significant
+    enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof * bad.smooth.factor)
     assert bad.u("stiffness_z") == pytest.approx(enlarged * good.u("stiffness_z"), rel=0.05)
     assert not notices_at(good, "identification")
 
@@ -262,15 +264,15 @@ def test_a_scale_that_is_off_by_more_than_stated_is_named():
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-3)
 
 
-def test_derivatives_of_response_and_poles_are_those_of_differences():
+@pytest.mark.parametrize("loss_hz", [0.0, 0.2])
+def test_derivatives_of_response_and_poles_are_those_of_differences(loss_hz):
     rng = np.random.default_rng(12)
     size, terms = 3, 5
     square = rng.standard_normal((1 + terms, 3, size, size))
     matrices = square @ square.swapaxes(2, 3)
     matrices[:, 1] *= 0.02
-    mechanics = Mechanics(
-        matrices, rng.standard_normal((1 + terms, size)), rng.standard_normal((2, size)), np.ones(2), np.ones(size), 1.0
-    )
+    forcing, rows = rng.standard_normal((1 + terms, size)), rng.standard_normal((2, size))
+    mechanics = Mechanics(matrices, forcing, rows, np.ones(2), np.ones(size), 1.0, loss_hz)
     weights = np.concatenate([[1.0], rng.uniform(0.5, 1.5, terms)])
     s = 1j * np.linspace(0.2, 3.0, 7) + 0.05
     found = respond(mechanics, weights, s)
@@ -286,6 +288,9 @@ def test_derivatives_of_response_and_poles_are_those_of_differences():
     (mass, damping, stiffness), _ = mechanics.at(weights)
     for pole in root:
         matrix = mass * pole**2 + damping * pole + stiffness
+        if loss_hz:  # (K + jωB) u = ω₀²(1 + jη) M u, with η/2 as damping ratio
+            natural, ratio = abs(pole), -pole.real / abs(pole)
+            matrix = stiffness + 2j * np.pi * loss_hz * damping - natural**2 * (1.0 + 2j * ratio) * mass
         assert np.linalg.svd(matrix, compute_uv=False)[-1] < 1e-9 * np.linalg.norm(matrix)
 
 

@@ -34,9 +34,9 @@ from fusion.sensor.identify.joint_fit import (
     joint_fits,
     mass_name,
     model_sensitivity,
-    relative_errors,
-    sine_transfers,
 )
+from fusion.sensor.identify.model_choice import loss_frequency_hz
+from fusion.sensor.identify.sine_curves import relative_errors, sine_transfers
 from fusion.sensor.response_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from shaker.identification.measured_curves import CurveError, MeasuredCurve, MeasuredSensitivity, ParameterEstimate
 from shaker.identification.oscillator import PeakReading, peak_readings
@@ -197,7 +197,7 @@ def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iter
         note = f"deviates from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
         f0, u_f0 = highest.fit.frequency_hz, highest.u_frequency_hz
         yield _mode_reading("oscillator", f0, u_f0, highest.fit.damping_ratio, highest.u_damping_ratio, note)
-    for mode in fit.identification.modes:
+    for mode in fit.reported.modes:
         if mode.record == measured.name:
             f0, u_f0 = mode.frequency_hz, mode.u_frequency_hz
             yield _mode_reading("joint", f0, u_f0, mode.damping_ratio, mode.u_damping_ratio)
@@ -217,7 +217,8 @@ class IdentifiedComponent:
 
     Attributes
     ----------
-    internal_mass : value, u and unit of the mass that moves with the load inside the sensor.
+    internal_mass : value, u and unit of the mass that moves with the load inside the sensor; u is NaN where the data
+        refute the model.
     sensitivity : None without evaluated sines of this component.
     model : the model for corrections, supported by data in `range_hz`.
     bands : one per load mass of `loads`.
@@ -236,6 +237,14 @@ class IdentifiedComponent:
     def name(self) -> str:
         """Name of the component: x, y, z, rx, ry or rz."""
         return self.fit.axis
+
+    @property
+    def sensitivity_estimates(self) -> tuple[ParameterEstimate, ...]:
+        """Numbers of the explained sensitivity; of a refuted model without U."""
+        if self.sensitivity is None:
+            return ()
+        found = self.sensitivity.comparison.best.estimates
+        return tuple(replace(one, u=np.nan) for one in found) if self.fit.is_rejected else found
 
 
 @dataclass(frozen=True)
@@ -339,7 +348,7 @@ def _component(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None, settings: IdentifySettings
 ) -> tuple[IdentifiedComponent, list[Notice]]:
     """Return all results of one component with their notices."""
-    mass = fit.identification[mass_name(fit.component)]
+    mass = fit.reported[mass_name(fit.component)]
     readings, unread = read_curves(fit, mass.value)
     found = model_sensitivity(fit, measured, sensor)
     notices = [*fit.notices, *unread, *found.notices]
@@ -347,6 +356,24 @@ def _component(
     if fit.model == "pitching":
         notices.append(Notice(NO_BAND_OF_PITCHING_LOAD, fit.axis))
         loads = ()
-    bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
-    of_model = found.sensitivity, found.model, found.range_hz
-    return IdentifiedComponent(fit, mass, readings, *of_model, loads, bands), notices
+    bands, model = [_usable(fit, found.model, kg, settings.permitted) for kg in loads], found.model
+    if fit.is_rejected:
+        bands = [replace(band, u_upper_hz=np.nan) for band in bands]
+        model = replace(model, covariance=np.full_like(model.covariance, np.nan))
+    of_model = found.sensitivity, model, found.range_hz
+    return IdentifiedComponent(fit, mass, readings, *of_model, loads, tuple(bands)), notices
+
+
+def _usable(fit: JointFit, model: SensorModel, load: float, permitted: float) -> UsableBand:
+    """Return the usable band with a load.
+
+    A loss factor acts at the edge as the damper of this frequency, and lowers the output at low frequencies too.
+    """
+    band = usable_band(model, Load(load, "force"), permitted)
+    if fit.choice.best.model.loss_factor and np.isfinite(band.upper_hz):
+        loss_hz = loss_frequency_hz(fit.identification, fit.axis)
+        at_edge = replace(model, damping=model.damping * loss_hz / band.upper_hz)
+        static = float(np.hypot(1.0, fit.identification.value(f"loss_factor_{fit.axis}")))
+        edge = usable_band(at_edge, Load(load, "force"), (1.0 + permitted) / static - 1.0)
+        band = replace(edge, permitted=permitted)
+    return band

@@ -213,6 +213,8 @@ def draw_outputs_over_load(component: IdentifiedComponent) -> Figure:
         panel.line(hertz, deviation, f"{kg:.4g} {unit}", colour=colour)
         if np.isfinite(band.upper_hz):
             panel.rule(band.upper_hz, f"{kg:.4g} {unit}", along="x", colour=colour, dashed=True)
+            if np.isnan(band.u_upper_hz):  # refuted by the data
+                continue
             ends = (band.upper_hz - K2 * band.u_upper_hz, band.upper_hz + K2 * band.u_upper_hz)
             panel.span(*ends, f"{kg:.4g} {unit}", along="x", colour=colour)
     widest = max((band.upper_hz for band in component.bands if np.isfinite(band.upper_hz)), default=highest)

@@ -22,7 +22,7 @@ from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
 from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
-from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
+from fusion.sensor.transfer.transfer_records import REPEAT, FoundResonance, ReferenceResult, TransferSettings
 from shaker.identification.measured_curves import (
     REFERENCE_INDEX,
     Bending,
@@ -40,7 +40,7 @@ from shakercal._common.notices import Notice
 
 
 ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
-DampingChoice = Literal["common", "each"]
+DampingChoice = Literal["auto", "common", "each"]
 MassChoice = Literal["auto", "free", "stated"]
 
 
@@ -48,14 +48,14 @@ MassChoice = Literal["auto", "free", "stated"]
 class IdentifySettings:
     """Choices that change results.
 
-    `model`, `damping` (one for all recordings or one for each), `internal_mass` (fitted, or as stated in rig.toml);
+    `model`, `damping` (one damper for all recordings or one for each), `internal_mass` (fitted, or as in rig.toml);
     "auto" is decided from the recordings. `band_hz`: lines that are fitted, None for all. `load_masses_kg`: for which
     corrections and usable bands are given, none for those of the recordings. `permitted`: error of the magnitude up to
     which a band counts as usable.
     """
 
     model: ModelChoice = "auto"
-    damping: DampingChoice = "common"
+    damping: DampingChoice = "auto"
     internal_mass: MassChoice = "auto"
     band_hz: tuple[float, float] | None = None
     load_masses_kg: tuple[float, ...] = ()
@@ -206,13 +206,25 @@ _MIN_ALONG = 1e-3  # part of the drive that the reference must measure
 class PreparedTransfer:
     """A curve to be fitted, with its recording and the resonances of its single responses.
 
-    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied.
+    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied. `reference`:
+    name of the channel of the base, empty for results of sines. `peak`: largest acceleration of the load, about that at
+    the highest line, in m/s² or rad/s²; 0 if not known.
     """
 
     manifest: Manifest
     measured: MeasuredTransfer
     resonances: tuple[FoundResonance, ...] = ()
     grids: tuple[EdgeGrid, ...] = ()
+    reference: str = ""
+    peak: float = 0.0
+
+    @property
+    def amplitude_change(self) -> tuple[float, float]:
+        """Largest relative changes of natural frequency and damping ratio with the amplitude."""
+        found = [one.amplitude for one in self.resonances if one.amplitude is not None]
+        changes = [(0.0, 0.0), *((one.frequency_change, one.damping_change) for one in found)]
+        frequency, damping = (max(parts, key=abs) for parts in zip(*changes, strict=True))
+        return frequency, damping
 
     @property
     def component(self) -> int:
@@ -223,6 +235,11 @@ class PreparedTransfer:
     def load_kg(self) -> float:
         """Mass, or moment of inertia, on the sensor along the driven component."""
         return float(self.measured.mass_matrix[self.component, self.component])
+
+    @property
+    def amplitude(self) -> float:
+        """Largest force, or moment, of the load in N or N·m; 0 if not known."""
+        return self.load_kg * self.peak
 
     @property
     def u_load_kg(self) -> float:
@@ -255,7 +272,7 @@ def prepare(
         raise _missing_channel(manifest, "response", drive, "load", "none on the load")
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
-    ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
+    ratio, errors = _load_over_base(manifest, _linearised(result), [entry.name for entry in tops], name, band_hz)
     placed, bent = tuple(transducer_placement(entry) for entry in tops), FlexibleLoad.of(manifest, ratio.frequency_hz)
     measured = MeasuredTransfer(
         name=name,
@@ -275,7 +292,8 @@ def prepare(
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
     of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
-    taken = [notice for notice in evaluation.notices if notice.where not in of_curves]
+    general = declared.CHANGES_WITH_AMPLITUDE.code
+    taken = [one for one in evaluation.notices if one.where not in of_curves or one.code == general]
     notices = [notice.at(f"{name}: {notice.where}" if notice.where else name) for notice in taken]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
@@ -284,7 +302,31 @@ def prepare(
         notices.append(Notice(declared.ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
-    return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
+    peak = _peak_acceleration(result, tops)
+    return PreparedTransfer(manifest, measured, found, complete, base.name, peak), tuple(notices)
+
+
+def _linearised(result: ReferenceResult) -> ReferenceResult:
+    """Return curves without the forces of cubic springs and dry friction: those of vanishing amplitude."""
+    ratio = result.transfer.ratio
+    value = ratio.value.copy()
+    for one in result.resonances:
+        if one.amplitude is not None:
+            value[:, ratio.channels.index(one.response)] -= one.amplitude.contribution
+    return replace(result, transfer=replace(result.transfer, ratio=replace(ratio, value=value)))
+
+
+def _peak_acceleration(result: ReferenceResult, tops: Sequence[ChannelEntry]) -> float:
+    """Return the largest reading of the responses as an acceleration.
+
+    Displacements and velocities count at the frequency of the highest line.
+    """
+    ratio, readings = result.transfer.ratio, []
+    for entry in tops:
+        channel = ratio.channels.index(entry.name)
+        highest_hz = float(ratio.frequency_hz[np.argmax(np.abs(ratio.value[:, channel]))])
+        readings.append(result.peaks[channel] / (2.0 * np.pi * highest_hz) ** TRANSDUCERS[entry.quantity].order)
+    return max(readings)
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
@@ -456,7 +498,7 @@ def _load_over_base(
     errors = []
     for error in result.errors:
         relative = error.relative[:, columns] * (-1.0 if error.name.endswith(": delay") else 1.0)
-        name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
+        name = f"{error.name} [{recording}]" if error.name.startswith((CLOCK, REPEAT)) else error.name
         if np.any(relative != 0.0):
             errors.append(CurveError(name, relative[chosen]))
     return ratio.at_lines(chosen), tuple(errors)

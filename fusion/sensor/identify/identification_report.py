@@ -27,6 +27,7 @@ from fusion.report.table import (
     csv_text,
     page_column,
     quantity_html,
+    quantity_text,
     small,
     table,
     text_column,
@@ -41,8 +42,10 @@ from fusion.sensor.identify.identification_evaluation import (
 )
 from fusion.sensor.identify.identification_figures import curve_figures, sensitivity_figures
 from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit, read_campaign
+from fusion.sensor.identify.model_choice import departure, verdict
 from fusion.sensor.model_files import model_file_text, read_model_file
 from shaker.identification.measured_curves import ParameterEstimate
+from shaker.identification.rival_models import FittedRival, ModelChoice
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import (
     CHAIN_PARAMETERS,
@@ -65,9 +68,9 @@ NUMBERS: list[TableColumn[FoundNumber]] = [
     text_column("component", lambda row: row[0]),
     text_column("name", lambda row: row[1].name),
     TableColumn("value", lambda row: row[1].value),
-    TableColumn("u", lambda row: row[1].u),
+    TableColumn("u", lambda row: None if np.isnan(row[1].u) else row[1].u),
     TableColumn("k", lambda _: K),
-    TableColumn("U", lambda row: K * row[1].u),
+    TableColumn("U", lambda row: None if np.isnan(row[1].u) else K * row[1].u),
     text_column("unit", lambda row: row[1].unit),
     text_column("method", lambda row: row[2]),
 ]
@@ -76,27 +79,28 @@ NUMBERS: list[TableColumn[FoundNumber]] = [
 def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
     """Yield every number of a component."""
     fit, axis = component.fit, component.name
-    how = f"joint fit, {fit.model}"
-    for estimate in fit.identification.estimates:
+    found, how = fit.reported, f"joint fit, {fit.choice.best.model}{REJECTED if fit.is_rejected else ''}"
+    for estimate in found.estimates:
         stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
         yield axis, estimate, f"{how}, stated beforehand" if stated else how
-    for estimate in fit.identification.derived:
+    for estimate in found.derived:
         yield axis, estimate, how
     curves = {reading.recording for reading in component.readings}
-    for mode in (mode for mode in fit.identification.modes if mode.record in curves):
+    for mode in (mode for mode in found.modes if mode.record in curves):
         name = f"{mode.record}, mode {mode.number + 1}"
         f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
         yield axis, ParameterEstimate(f"frequency: {name}", f"resonance f₀, {name}", *f0), how
         yield axis, ParameterEstimate(f"damping_ratio: {name}", f"damping ratio ζ, {name}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
-        for estimate in best.estimates:
+        for estimate in component.sensitivity_estimates:
             yield axis, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
     for load, band in zip(component.loads, component.bands, strict=True):
         name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
         yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
+REJECTED = ", refuted by the data"
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "none"}
 _LARGEST_CAUSES = 12
 
@@ -113,17 +117,35 @@ def parameters_table(component: IdentifiedComponent) -> Table | None:
     return table(caption, columns, [row for row in numbers(component) if not row[1].name.startswith("usable_band")])
 
 
-def correlation_table(component: IdentifiedComponent) -> Table:
-    """Return the correlation of the parameters of the joint fit."""
+def rivals_table(component: IdentifiedComponent) -> Table | None:
+    """Return the rival models of the joint fit."""
+    choice, name = component.fit.choice, f"stiffness_{component.name}"
+    columns: list[TableColumn[FittedRival]] = [
+        page_column("model", lambda rival: str(rival.model), "l"),
+        page_column("parameters", lambda rival: f"{rival.free}"),
+        page_column("residuals / uncertainty", lambda rival: f"{departure(rival.identification):.3g}"),
+        page_column("criterion, over the chosen one", lambda rival: f"{choice.difference(rival):.3g}"),
+        page_column("k", lambda rival: quantity_html(rival.identification.value(name), np.nan)),
+        page_column("verdict", lambda rival: verdict(choice, rival), "l"),
+    ]
+    return table("Rival models, by Akaike's criterion", columns, choice.tried)
+
+
+def correlation_table(component: IdentifiedComponent) -> Table | None:
+    """Return the correlation of the parameters, None of a refuted fit."""
     found = component.fit.identification
+    if component.fit.is_rejected:
+        return None
     labels = [_label(estimate.label) for estimate in found.estimates]
     cells = [[f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row] for row in found.correlation.tolist()]
     rows = tuple((label, *row) for label, row in zip(labels, cells, strict=True))
     return Table("Correlation of the parameters", ("", *labels), "l" + "r" * len(labels), rows)
 
 
-def budget_table(component: IdentifiedComponent) -> Table:
-    """Return the contribution of every cause to the parameters, the largest first."""
+def budget_table(component: IdentifiedComponent) -> Table | None:
+    """Return the contribution of every cause, the largest first; None of a refuted fit."""
+    if component.fit.is_rejected:
+        return None
     estimates = component.fit.identification.estimates
     size = np.abs([estimate.value for estimate in estimates])
     share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
@@ -225,13 +247,14 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
     shown = []
     for component in evaluation.components:
         main = (f"stiffness_{component.name}", f"damping_{component.name}", component.internal_mass.name)
-        for estimate in component.fit.identification.estimates:
+        for estimate in component.fit.reported.estimates:
             if estimate.name.partition(": ")[0] in main:
                 remark = f"U (k = {K:.2f}) = {_relative(estimate.value, estimate.u)} %"
+                remark = "model refuted by the data" if component.fit.is_rejected else remark
                 shown.append(Headline(_label(capitalise(estimate.label)), _with_u(estimate), remark))
         if component.sensitivity is not None:
             where = f"of {LOAD_COMPONENTS[component.fit.component]}"
-            for estimate in component.sensitivity.comparison.best.estimates:
+            for estimate in component.sensitivity_estimates:
                 if estimate.name in ("delay_s", "lag_s"):
                     label = capitalise(f"{estimate.label} {where}")
                     shown.append(Headline(label, _in_microseconds(estimate), "from S(f), with U"))
@@ -242,16 +265,16 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
     """Yield the printed lines: parameters with U at 95 %, then bands."""
     for component in evaluation.components:
         fit = component.fit
-        yield f"{component.name}: {fit.model} ({fit.reason}), {len(fit.prepared)} recordings"
-        estimates = [*fit.identification.estimates, *fit.identification.derived]
-        if component.sensitivity is not None:
-            estimates += [e for e in component.sensitivity.comparison.best.estimates if e.name != "spring_time_s"]
-        for estimate in estimates:
+        yield f"{component.name}: {fit.choice.best.model} ({fit.reason}), {len(fit.prepared)} recordings"
+        if fit.is_rejected:
+            yield "  model refuted by the data: values without U"
+        estimates = [*fit.reported.estimates, *fit.reported.derived]
+        for estimate in [*estimates, *(e for e in component.sensitivity_estimates if e.name != "spring_time_s")]:
             text = round_to_uncertainty(estimate.value, K * estimate.u).text
             yield f"  {estimate.label}: {text} {typeset(estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
-            limit = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
-            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {limit.value} ± {limit.expanded} Hz"
+            limit = quantity_text(band.upper_hz, K * band.u_upper_hz)
+            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {limit} Hz"
 
 
 def _in_microseconds(estimate: ParameterEstimate) -> Markup:
@@ -295,7 +318,9 @@ def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
         sentences = [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
     return {
         "name": component.name,
-        "reason": f"{component.fit.model}: {component.fit.reason}",
+        "reason": f"{component.fit.choice.best.model}: {component.fit.reason}",
+        "refuted": component.fit.is_rejected,
+        "rivals": rivals_table(component),
         "parameters": parameters_table(component),
         "correlation": correlation_table(component),
         "recordings": recordings_table(component),
@@ -396,7 +421,8 @@ def read_sensor_models(path: str | Path) -> SensorFile:
 
 def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
     """Return one component as nested dictionaries in SI units."""
-    model, seen, identified = component.model, component.sensitivity, component.fit.identification
+    model, seen, identified = component.model, component.sensitivity, component.fit.reported
+    rejected = component.fit.is_rejected
     values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
     damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
     mechanical = (identified[f"stiffness_{component.name}"], damper, component.internal_mass)
@@ -404,23 +430,29 @@ def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
     parameters = {
         "name": [*SENSOR_PARAMETERS, *model.chain.names],
         "value": values,
-        "u": np.sqrt(model.covariance.diagonal()).tolist(),
+        "u": [None] * len(values) if rejected else np.sqrt(model.covariance.diagonal()).tolist(),
         "unit": [model.unit, *(estimate.unit for estimate in mechanical), *chain_units],
     }
     load = LOAD_COMPONENTS[component.fit.component]
     bands = [
-        (mass, band.permitted, band.upper_hz if np.isfinite(band.upper_hz) else None, band.u_upper_hz)
+        (
+            mass,
+            band.permitted,
+            band.upper_hz if np.isfinite(band.upper_hz) else None,
+            None if rejected else band.u_upper_hz,
+        )
         for mass, band in zip(component.loads, component.bands, strict=True)
     ]
     return {
         "component": load,
         "channel": load if seen is None else seen.measured.channel,
         "structure": component.fit.model,
+        "damping_law": "loss factor" if component.fit.choice.best.model.loss_factor else "viscous",
         "sensitivity_measured": seen is not None,
         "frequency_range_hz": list(component.range_hz),
         "chain": model.chain.kind,
         "parameters": [dict(zip(parameters, row, strict=True)) for row in zip(*parameters.values(), strict=True)],
-        "covariance": model.covariance.tolist(),
+        "covariance": None if rejected else model.covariance.tolist(),
         "usable_bands": [dict(zip(("load", "permitted", "upper_hz", "u"), band, strict=True)) for band in bands],
     }
 
@@ -431,7 +463,8 @@ def _read_component(item: dict[str, Any]) -> ComponentModel:
     kind = cast("ChainKind", item["chain"])
     named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
     chain = ChainModel(kind, np.array([named[name] for name in CHAIN_PARAMETERS[kind]], dtype=np.float64))
-    covariance, unit = np.array(item["covariance"], dtype=np.float64), str(item["parameters"][0]["unit"])
+    unit, size = str(item["parameters"][0]["unit"]), len(item["parameters"])
+    covariance = np.full((size, size), np.nan) if item["covariance"] is None else np.array(item["covariance"], float)
     sensitivity, stiffness, damping, mass = (named[name] for name in SENSOR_PARAMETERS)
     low, high = item["frequency_range_hz"]
     return ComponentModel(
@@ -456,10 +489,11 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
         fit, group = component.fit, file.create_group(component.name, track_order=True)
         for name in ("model", "reason", "mass_is_free"):
             write_value(group, name, getattr(fit, name))
+        write_value(group, "rivals", [_rival_row(fit.choice, rival) for rival in fit.choice.tried])
         identified = group.create_group("identification", track_order=True)
         found = ("estimates", "covariance", "correlation", "derived", "modes", "unknowns")
         for name in (*found, "chi_squared", "dof", "budget"):
-            write_value(identified, name, getattr(fit.identification, name))
+            write_value(identified, name, getattr(fit.reported, name))
         curves = group.create_group("recordings", track_order=True)
         for index, item in enumerate(fit.prepared):
             recording_group = curves.create_group(f"{index:03d}", track_order=True)
@@ -468,6 +502,24 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
             write_value(recording_group, "residual", fit.identification.residual[index])
         for name in ("readings", "sensitivity", "model", "range_hz", "loads", "bands"):
             write_value(group, "sensor_model" if name == "model" else name, getattr(component, name))
+
+
+@dataclass(frozen=True)
+class RivalRow:
+    """A rival model as files describe it."""
+
+    model: str
+    parameters: int
+    chi_squared: float
+    dof: float
+    criterion: float
+    verdict: str
+
+
+def _rival_row(choice: ModelChoice, rival: FittedRival) -> RivalRow:
+    found = rival.identification
+    numbers = rival.free, found.chi_squared, found.dof, choice.difference(rival)
+    return RivalRow(str(rival.model), *numbers, verdict(choice, rival))
 
 
 def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fusion.base import count_text
-from fusion.campaign.excited_line import with_campaign_names
 from fusion.errors import ARGUMENT, ComputeError, InputError
-from fusion.estimation.uncertainty import Uncertainty
-from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
-from fusion.report.folder import RESULT_FILE
-from fusion.report.h5 import open_results, read_uncertainty
-from fusion.sensitivity.moving_body import inertia_errors, rigid_load
 from fusion.sensor import response_notices as declared
-from fusion.sensor.identify.identification_inputs import (
-    EvaluatedSines,
-    FlexibleLoad,
-    IdentifySettings,
-    PreparedTransfer,
-    component_of,
-    drive_of,
-    mass_unit,
-)
+from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit
+from fusion.sensor.identify.model_choice import choice_notices, departure, describe_choice
+from fusion.sensor.transfer.resonances import AMPLITUDE, FIRST_ORDER
 from fusion.sensor.unmodelled_effects import stated_influences
-from shaker.identification.measured_curves import (
-    CurveError,
-    MeasuredSensitivity,
-    MeasuredTransfer,
-    ParameterEstimate,
-    Placement,
+from shaker.identification.measured_curves import MeasuredSensitivity, MeasuredTransfer, ParameterEstimate
+from shaker.identification.rival_models import (
+    FittedRival,
+    ModelChoice,
+    RivalModel,
+    StructureName,
+    added_uncertainty,
+    choose_model,
+    covering,
+    with_unstated_filters,
+    without_uncertainty,
 )
 from shaker.identification.sensitivity import (
     CHAIN_WORDS,
@@ -45,33 +35,58 @@ from shaker.identification.sensitivity import (
     sensor_model,
 )
 from shaker.identification.sensor import NO_CHAIN, SensorModel
-from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structure_fit import Identification, ModeEstimate, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
-from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import ComplexArray, FloatArray
+from shaker.model_notices import MODEL_MISFIT, STATED_ERROR_TOO_SMALL
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # One joint fit per driven component: which model, which internal mass, and why.
 
 
 _DIFFERENT = 0.01  # relative difference of load masses that separates internal mass and stiffness
+_OTHER_LEVEL = 1.05  # ratio of amplitudes from which recordings show whether these matter
 _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
-_BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
 _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
+_LAWS = {
+    "auto": (RivalModel(), RivalModel(loss_factor=True)),
+    "common": (RivalModel(),),
+    "each": (RivalModel(each=True),),
+}
+"""Damping of the first models by the option."""
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """The model fitted to all curves of one component; `mass_is_free`: not as stated."""
+    """The model fitted to all curves of one component; `mass_is_free`: not as stated.
+
+    `choice`: the rival models; `identification`: the chosen one, whose U includes those that the data leave open, and
+    `reported`: the same, without U where the data refute it.
+    """
 
     component: int
-    model: str
     reason: str
     mass_is_free: bool
+    choice: ModelChoice
     identification: Identification
     prepared: tuple[PreparedTransfer, ...]
     notices: tuple[Notice, ...]
+
+    @property
+    def model(self) -> StructureName:
+        """Structure of the chosen model: translation, pitching or adapter."""
+        return self.choice.best.model.structure
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether the data refute the chosen model, so that its values have no U."""
+        return self.identification.is_rejected
+
+    @property
+    def reported(self) -> Identification:
+        """The identification as reported."""
+        return without_uncertainty(self.identification) if self.is_rejected else self.identification
 
     @property
     def axis(self) -> str:
@@ -94,73 +109,132 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit one component; "auto" is translation, unless a second peak indicates pitching."""
+    """Return the model of one component that the data call for."""
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
+    refused: list[ComputeError] = []
 
-    def fitted(model: str) -> Identification:
-        return _fitted(model, component, group, settings, free=free)
+    def fitted(model: RivalModel) -> Identification | None:
+        try:
+            return _fitted(model, component, group, settings, free=free)
+        except ComputeError as error:
+            refused.append(error)
+            return None
 
-    if settings.model == "auto":
-        model, reason, identification = _chosen(peaks if component in _PITCHES_WITH else (), fitted)
-    else:
-        model, reason, identification = settings.model, "as selected", fitted(settings.model)
-    notices = identification.notices
-    if model == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
-        notices = (*notices, Notice(declared.SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
-    return JointFit(component, model, reason, free, identification, tuple(group), notices)
+    structures: tuple[StructureName, ...] = ("translation",) if settings.model == "auto" else (settings.model,)
+    if settings.model == "auto" and len(peaks) > 1:
+        structures = ("pitching",) if component in _PITCHES_WITH else ("translation", "adapter")
+    start = [replace(law, structure=structure) for structure in structures for law in _LAWS[settings.damping]]
+    try:
+        choice = choose_model(start, lambda best: _richer(best, component, group, settings), fitted)
+    except ValueError as error:
+        raise refused[-1] from error
+    identification = _with_amplitudes(_with_influences(covering(choice), group), group)
+    rejected = identification.is_rejected
+    notices = [one for one in identification.notices if not (rejected and one.code == MODEL_MISFIT.code)]
+    if choice.best.model.structure == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
+        notices.append(Notice(declared.SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
+    highest_hz = max(float(item.measured.ratio.frequency_hz.max()) for item in group)
+    forces = [item.amplitude for item in group if item.peak > 0.0]
+    notices += choice_notices(choice, f"model {MOTION_COMPONENTS[component]}", highest_hz, forces)
+    reason = describe_choice(choice, settings.model, peaks)
+    return JointFit(component, reason, free, choice, identification, tuple(group), tuple(notices))
 
 
-def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
-    """Return selected model, reason and fit: pitching if it explains two peaks."""
-    pitching, reason = None, ""
-    if len(peaks_hz) > 1:
-        pitching = fitted("pitching")
-        listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
-        reason = (
-            f"the curves have peaks at {listed}, of which one translation explains one; translation and pitching "
-            f"together leave residuals of {departure(pitching):.3g} times their uncertainty"
-        )
-        if departure(pitching) < _MISFIT:
-            return "pitching", reason, pitching
-    translation = fitted("translation")
-    if pitching is not None and departure(pitching) ** 2 < _BETTER * departure(translation) ** 2:
-        return "pitching", f"{reason}, one translation {departure(translation):.3g}", pitching
-    reason = f"one spring and damper leave residuals of {departure(translation):.3g} times their uncertainty"
-    return "translation", reason, translation
+def _richer(
+    best: FittedRival, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings
+) -> list[RivalModel]:
+    """Return models with one more feature, where the data contradict the best one.
+
+    Springs that are not linear could pass for a joint or a filter, which are left out where the amplitude matters.
+    """
+    found, model = best.identification, best.model
+    late = any(one.code == STATED_ERROR_TOO_SMALL.code and one.where.endswith(": delay") for one in found.notices)
+    if found.is_explained and not late:
+        return []
+    others: list[RivalModel] = []
+    linear = not any(any(item.amplitude_change) for item in group)
+    if settings.model == "auto" and linear:
+        names: list[StructureName] = ["translation", "adapter"]
+        other = _PITCHES_WITH.get(component)
+        if other is not None and any(np.any(item.measured.mass_matrix[component, other] != 0.0) for item in group):
+            names.append("pitching")
+        others += [replace(model, structure=name) for name in names if name != model.structure]
+    if settings.damping == "auto" and not model.each:
+        others += [] if model.loss_factor else [replace(model, loss_factor=True)]
+        others += [replace(model, each=True, loss_factor=False)] if len(group) > 1 else []
+    if model.structure != "adapter" and not model.by_amplitude and _levels_differ(group):
+        others.append(replace(model, by_amplitude=True))
+    channels = dict.fromkeys(
+        name for item in group if linear and item.reference for name in (item.reference, *item.measured.ratio.channels)
+    )
+    others += [replace(model, filtered=(*model.filtered, name)) for name in channels if name not in model.filtered]
+    return others
+
+
+def _levels_differ(group: Sequence[PreparedTransfer]) -> bool:
+    """Return whether one load was recorded with different amplitudes."""
+    pairs = [(one, other) for one in group for other in group if one.peak > 0.0 and other.peak > 0.0]
+    return any(
+        abs(one.load_kg - other.load_kg) <= _DIFFERENT * one.load_kg and other.peak > _OTHER_LEVEL * one.peak
+        for one, other in pairs
+    )
+
+
+def _with_levels(group: Sequence[PreparedTransfer]) -> list[MeasuredTransfer]:
+    """Return the curves with their levels, of the amplitudes of all that are known."""
+    known = [item.amplitude for item in group if item.peak > 0.0]
+    span = np.ptp(known) if known else 0.0
+    if not span > 0.0:
+        return [item.measured for item in group]
+    middle = 0.5 * (min(known) + max(known))
+    levels = [(item.amplitude - middle) / span if item.peak > 0.0 else 0.0 for item in group]
+    return [replace(item.measured, level=float(level)) for item, level in zip(group, levels, strict=True)]
 
 
 def _fitted(
-    model: str, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings, *, free: bool
+    model: RivalModel, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings, *, free: bool
 ) -> Identification:
     """Fit a model to all curves of a group; `free` fits the internal mass."""
-    structure: MechanicalStructure = ChainStructure(component) if model == "adapter" else SpringSuspension((component,))
-    if model == "pitching":
+    loss_hz = _middle_hz(group) if model.loss_factor else 0.0
+    structure: MechanicalStructure = SpringSuspension((component,), loss_hz, model.by_amplitude)
+    if model.structure == "adapter":
+        structure = ChainStructure(component, loss_hz=loss_hz)
+    if model.structure == "pitching":
         if component not in _PITCHES_WITH:
             driven = MOTION_COMPONENTS[component]
             raise InputError(declared.PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
-        structure = SpringSuspension((component, _PITCHES_WITH[component]))
+        structure = SpringSuspension((component, _PITCHES_WITH[component]), loss_hz, model.by_amplitude)
     names = [parameter.name for parameter in structure.parameters]
-    each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
+    each = [name for name in names if name.startswith("damping_")] if model.each else []
+    free = free and (model.structure != "adapter" or settings.internal_mass == "free")  # order of both springs
     inside = {} if free else {mass_name(axis): axis for axis in reversed(range(6)) if mass_name(axis) in names}
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
-    if inside and sensor is None:
+    if inside and sensor is None and not _mass_is_free(component, group, settings):
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
         raise InputError(declared.MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
     stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}
-    records = [item.measured for item in group]
+    records = _with_levels(group)
+    records = with_unstated_filters(records, [item.reference for item in group], model.filtered)
     try:
-        return _with_influences(identify(records, structure, stated_values=stated, each_recording=each), group)
+        return identify(records, structure, stated_values=stated, each_recording=each)
     except (ValueError, np.linalg.LinAlgError) as error:
         names_text, reason = ", ".join(record.name for record in records), ARGUMENT.sub("", str(error))
         raise ComputeError(declared.NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
 
 
+def _middle_hz(group: Sequence[PreparedTransfer]) -> float:
+    """Return the geometric mean of the highest lines of all curves."""
+    largest = [np.argmax(np.abs(item.measured.ratio.value).max(axis=1)) for item in group]
+    pairs = zip(group, largest, strict=True)
+    return float(np.exp(np.mean([np.log(item.measured.ratio.frequency_hz[line]) for item, line in pairs])))
+
+
 def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
     """Return a fit whose uncertainty includes the stated influences (`fusion.sensor.unmodelled_effects`).
 
-    A relative change of frequencies changes k by twice as much, and the damping ratio b/(2√(km)) changes b. Several
-    loads in the fit show the influence of the load themselves.
+    A relative change of frequencies changes k by twice as much, and the damping ratio b/(2√(km)) changes b, or η/2 =
+    bω₀/(2k). Several loads in the fit show the influence of the load themselves.
     """
     rig = next((item.manifest.rig for item in group if item.manifest.rig.model is not None), None)
     if rig is None:
@@ -171,11 +245,13 @@ def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -
 
     relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
 
+    loss_factor = any(item.name.startswith("loss_factor") for item in found.derived)
+    changes = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0), "lag": (-1.0, 1.0), "loss": (0.0, 1.0)}
+    changes |= {"damping": (2.0, 1.0)} if loss_factor else {}
+
     def moved(item: ParameterEstimate) -> FloatArray:
         """Return the change (E,) by each unknown; of b/k that of its parts."""
-        kind = item.name.partition("_")[0]
-        by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
-        return np.asarray(item.value * (relative @ ((-1.0, 1.0) if item in found.derived else by)))
+        return np.asarray(item.value * (relative @ changes.get(item.name.partition("_")[0], (0.0, 0.0))))
 
     def wider(item: ParameterEstimate) -> ParameterEstimate:
         return replace(item, u=float(np.linalg.norm([item.u, *moved(item)])))
@@ -200,6 +276,45 @@ def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -
     )
 
 
+def _with_amplitudes(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
+    """Return a fit of vanishing amplitude whose U covers the amplitudes of the recordings.
+
+    The stiffness changes by twice as much as the frequency, b by as much as frequency and damping ratio together.
+    """
+    changes = {item.measured.name: FIRST_ORDER * np.array(item.amplitude_change) for item in group}
+    if not any(np.any(change) for change in changes.values()):
+        return found
+    by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0), "lag": (-1.0, 1.0), "loss": (0.0, 1.0)}
+
+    def added(item: ParameterEstimate) -> float:
+        slopes = np.array(by.get(item.name.partition("_")[0], (0.0, 0.0)))
+        largest = max((float(slopes @ change) for change in changes.values()), key=abs)
+        return added_uncertainty(item.value, item.u, item.value * (1.0 + largest), item.u)
+
+    def wider(item: ParameterEstimate) -> ParameterEstimate:
+        return replace(item, u=float(np.hypot(item.u, added(item))))
+
+    def wider_mode(mode: ModeEstimate) -> ModeEstimate:
+        frequency, damping = mode.frequency_hz, mode.damping_ratio
+        by_frequency, by_damping = changes[mode.record]
+        more_f = added_uncertainty(
+            frequency, mode.u_frequency_hz, frequency * (1.0 + by_frequency), mode.u_frequency_hz
+        )
+        more_d = added_uncertainty(damping, mode.u_damping_ratio, damping * (1.0 + by_damping), mode.u_damping_ratio)
+        u_frequency_hz, u_damping_ratio = np.hypot(mode.u_frequency_hz, more_f), np.hypot(mode.u_damping_ratio, more_d)
+        return replace(mode, u_frequency_hz=float(u_frequency_hz), u_damping_ratio=float(u_damping_ratio))
+
+    effects = np.array([added(item) for item in found.estimates])
+    return replace(
+        found,
+        estimates=tuple(map(wider, found.estimates)),
+        covariance=found.covariance + np.multiply.outer(effects, effects),
+        derived=tuple(map(wider, found.derived)),
+        modes=tuple(map(wider_mode, found.modes)),
+        budget={**found.budget, AMPLITUDE: np.abs(effects)},
+    )
+
+
 def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> bool:
     """Return whether the internal mass is fitted; refuse it for equal loads."""
     loads = [item.load_kg for item in group]
@@ -213,133 +328,6 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
 def mass_name(component: int) -> str:
     """Return the name of the parameter of the internal mass."""
     return "internal_mass" if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
-
-
-def departure(found: Identification) -> float:
-    """Return √(χ²/dof): residuals over their uncertainty, rms."""
-    return float(np.sqrt(found.chi_squared / found.dof))
-
-
-# From the results of sine recordings to load over base acceleration: further points of the transfer functions.
-
-
-def sine_transfers(
-    items: Sequence[EvaluatedSines],
-    names: Mapping[Path, str],
-    starts: Mapping[str, str],
-    band_hz: tuple[float, float] | None,
-) -> tuple[PreparedTransfer, ...]:
-    """Return load over base along the drive, of recordings of sines.
-
-    Recordings of one load and mounting are one curve. `names`: unique names of the recordings by the path of their
-    manifest. `starts`: names of their starts, if several recordings have a common start.
-    """
-    groups: dict[tuple[object, ...], list[PreparedTransfer]] = {}
-    for item in items:
-        name = names[item.manifest.path]
-        measured = _transfer(item, name, starts.get(name, name), band_hz)
-        if measured is not None:
-            load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
-            key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
-            groups.setdefault(key, []).append(PreparedTransfer(item.manifest, measured))
-    curves = [(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()]
-    if len({measured.name for _, measured in curves}) < len(curves):
-        curves = [(m, replace(one, name=f"{one.name}, mounting {m.mounting}")) for m, one in curves]
-    return tuple(PreparedTransfer(manifest, measured) for manifest, measured in curves)
-
-
-def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
-    """Return a curve with the elastic properties of its load."""
-    bent = FlexibleLoad.of(manifest, measured.ratio.frequency_hz)
-    return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
-
-
-PER_LINE = ("frequency_hz", "value", "covariance", "dof")
-"""Fields of a ratio that have an entry for every line."""
-
-
-def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
-    """Return the lines of several recordings as one curve, ascending in frequency.
-
-    Equal names of errors are one unknown.
-    """
-    records = [item.measured for item in group]
-    ratios = [record.ratio for record in records]
-    order = np.argsort(np.concatenate([ratio.frequency_hz for ratio in ratios]), kind="stable")
-    parts: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in ratios])[order] for name in PER_LINE}
-    ratio = replace(ratios[0], **parts)
-    by_name = [{error.name: error.relative for error in record.errors} for record in records]
-    zeros = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
-
-    def relative(name: str) -> ComplexArray:
-        return np.concatenate([found.get(name, zero) for found, zero in zip(by_name, zeros, strict=True)])[order]
-
-    joined = tuple(CurveError(name, relative(name)) for name in dict.fromkeys(chain(*by_name)))
-    steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
-    return replace(records[0], name=steps, ratio=ratio, errors=joined)
-
-
-def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[CurveError, ...]:
-    """Return named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
-    count = value.shape[1]
-    return tuple(
-        CurveError(influence.name, (influence.effect[:, :count] + 1j * influence.effect[:, count:]) / value)
-        for influence in uncertainty.influences
-        if np.any(influence.effect != 0.0)
-    )
-
-
-def _transfer(
-    item: EvaluatedSines, name: str, start: str, band_hz: tuple[float, float] | None
-) -> MeasuredTransfer | None:
-    """Return load over base acceleration along the drive at the driven lines, None without both."""
-    manifest = item.manifest
-    drive = drive_of(manifest)
-    component = component_of(drive)
-    if manifest.rig.load is None or component >= 3:  # of a rig that is turned, sines add no points
-        return None
-    with open_results(item.results / RESULT_FILE) as file:
-        groups = ["accelerations/load-fused", "accelerations/base-fused"]
-        if any(group not in file for group in groups):
-            return None
-        frequency = file["lines/frequency_hz"][()]
-        driven = file["lines/multiple"][()] == 1
-        values = [file[group]["phasors/value"][()][:, component] for group in groups]
-        parts = [read_uncertainty(file[group]["uncertainty"]).at([component]) for group in groups]
-    chosen = driven & np.isfinite(values[0]) & np.isfinite(values[1])
-    if band_hz is not None:
-        chosen &= (frequency >= band_hz[0]) & (frequency <= band_hz[1])
-    if not np.any(chosen):
-        return None
-    # common errors of load and base act on both
-    base = values[1][chosen]
-    ratio = values[0][chosen] / base
-    below = parts[1].at_lines(chosen).scaled((-ratio / base)[:, None])
-    relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
-    whole = parts[0].at_lines(chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
-    whole = with_campaign_names(whole, name, manifest.mounting, start)
-    body = rigid_load(manifest)
-    along = Placement(np.zeros(3), np.eye(3)[component])
-    clock = manifest.daq[0] if manifest.daq else None
-    return MeasuredTransfer(
-        name=name,
-        ratio=Phasors(
-            frequency_hz=frequency[chosen],
-            value=ratio[:, None],
-            covariance=np.sum([part.covariance for part in whole.random], axis=0),
-            channels=(f"load {MOTION_COMPONENTS[component]}",),
-            unit=("1",),
-            dof=whole.dof()[:, 0],
-        ),
-        tops=(along,),
-        base=along,
-        drive=drive,
-        mass_matrix=body.mass_matrix,
-        errors=relative_errors(whole, ratio[:, None]),
-        inertia_errors=inertia_errors(manifest, body),
-        clock=f"clock of {clock.name}" if clock else f"clock of {name}",
-        u_clock=clock.clock_uncertainty if clock else 0.0,
-    )
 
 
 # The sensor of one component as a correction needs it: spring and damper of the joint fit, chain of S(f).

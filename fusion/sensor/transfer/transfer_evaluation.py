@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from fusion.errors import ARGUMENT, InputError
 from fusion.instruments.channel import scale_is_stated
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensor import response_notices as declared
+from fusion.sensor.transfer.resonances import find_resonances
+from fusion.sensor.transfer.transfer_estimate import estimate_transfer
 from fusion.sensor.transfer.transfer_records import (
+    REPEAT,
     ChannelChain,
     FoundResonance,
     Quantity,
@@ -26,239 +28,17 @@ from fusion.sensor.transfer.transfer_records import (
     channel_chain,
     ratio_errors,
     read_synchronous,
+    repeat_errors,
 )
-from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences, stated_influences
+from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
-from shaker.frf.impact import transfer_impact
-from shaker.frf.periodic import transfer_periodic
-from shaker.frf.random import transfer_random
-from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.identification.measured_curves import CurveError, MeasuredCurve
-from shaker.identification.oscillator import Resonance, ResonanceKind, fit_resonance
+from shaker.frf.distortion import harmonics_above_band
+from shaker.frf.periodic import find_period, period_phasors
+from shaker.frf.result import TransferFunction
+from shaker.identification.oscillator import ResonanceKind
 from shaker.labels import MOTION_UNITS
-from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray
 from shakercal._common.notices import Notice
-
-_SEGMENTS = 16  # segments of a record if no line spacing is requested
-_BLOW_S = 1.0  # window around a blow if no line spacing is requested
-_KEYS = {
-    "period_s": "excitation.period",
-    "band_hz": "excitation.band",
-    "record": "excitation.reference",
-    "reference": "excitation.reference",
-    "resolution_hz": "--resolution",
-    "duration_s": "--resolution",
-}
-"""Keys and options of the arguments that an estimate may refuse."""
-
-
-def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings: TransferSettings) -> TransferFunction:
-    """Return the transfer functions as recorded, by the selected estimator or that of the excitation.
-
-    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Otherwise local
-    polynomials, or averaged spectra of overlapping segments. Raises `InputError` at the key or the option to correct.
-    """
-    excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
-    repeats = excitation.period is not None or excitation.kind == "multisine"
-    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
-    if periodic and excitation.period is None:
-        expected = "the period in s, which the periodic estimate requires"
-        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
-    try:
-        if periodic and excitation.period is not None:
-            return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
-        found = _averaged(manifest, record, settings, band)
-    except ValueError as error:
-        argument = str(error).partition(":")[0]
-        if periodic and argument == "record":
-            key, found_s, channel = "excitation.period", excitation.period or 0.0, record.reference_name
-            raise InputError(
-                declared.PERIOD_WITHOUT_SIGNAL, manifest.path, key, found_s=found_s, channel=channel
-            ) from error
-        raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
-    if excitation.kind != "chirp" or excitation.period is not None:
-        return found
-    return replace(found, notices=(*found.notices, Notice(declared.CHIRP_WITHOUT_PERIOD, "excitation.period")))
-
-
-def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
-    """Return the band to evaluate: the excitation's, and no more than the samples allow."""
-    band, highest = manifest.excitation.band, together.aligned.highest_hz
-    if highest is None:
-        return band
-    if band is not None and band[0] >= highest:
-        path, (low_hz, high_hz) = manifest.path, band
-        raise InputError(
-            declared.BAND_ABOVE_LIMIT, path, "excitation.band", limit_hz=highest, low_hz=low_hz, high_hz=high_hz
-        )
-    return (0.0, highest) if band is None else (band[0], min(band[1], highest))
-
-
-def _averaged(
-    manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
-) -> TransferFunction:
-    """Return the transfer functions from averaged spectra of blows or segments, after settling."""
-    excitation, estimator = manifest.excitation, "auto" if settings.estimator == "periodic" else settings.estimator
-    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
-    record = replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
-    length_s = len(record.reference) / record.sample_rate_hz
-    if excitation.kind == "impact":
-        window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
-        advised = "auto" if estimator == "local" else estimator
-        return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
-    resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
-    return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
-
-
-# Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
-
-_PROMINENCE = np.log(2.0)  # of a peak in ln|H|
-_SIGNIFICANT = 8.0  # standard uncertainties by which a peak exceeds its surroundings
-_DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
-_FEWEST_LINES = 6
-_POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
-_VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
-_MOST = 12
-_ROUNDS = 4  # of fitting peaks one after the other, each without all others
-_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
-
-
-@dataclass(frozen=True)
-class _Curve:
-    """One response over its reference: values (K,), noise covariance, and common errors."""
-
-    name: str
-    transfer: TransferFunction
-    value: ComplexArray
-    covariance: FloatArray
-    errors: dict[str, ComplexArray]
-    kind: ResonanceKind
-
-    def fit(self, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
-        """Fit one oscillator to values (L,) at some lines."""
-        curve = MeasuredCurve(
-            self.transfer.ratio.frequency_hz[lines],
-            value,
-            self.covariance[lines],
-            line_correlation=self.transfer.line_correlation,
-            added_decay_per_s=self.transfer.added_decay_per_s,
-            dof=self.transfer.ratio.dof[lines],
-        )
-        return fit_resonance(curve, self.kind, residual_terms=residual_terms)
-
-
-def find_resonances(
-    transfer: TransferFunction,
-    errors: Sequence[CurveError],
-    kinds: Sequence[ResonanceKind],
-    u_clock: float,
-    influences: ModelInfluences = NO_INFLUENCES,
-) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
-    """Return the resonances of every response, and notices of peaks without a fitted oscillator.
-
-    `transfer` has the covariance of its noise only. `kinds` (C): form of an oscillator in each response. `u_clock`:
-    relative standard uncertainty of the clock, and so of every frequency. `influences`: influences on a resonance that
-    the record does not show.
-    """
-    found: list[FoundResonance] = []
-    notices: list[Notice] = []
-    for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
-        of_channel = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
-        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind)
-        peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
-        for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
-            frequency_hz = float(transfer.ratio.frequency_hz[peak])
-            if isinstance(mode, str):
-                notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
-                continue
-            found.append(_with_budget(curve, lines, mode, u_clock, influences))
-            departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
-            if departs >= _DEPARTS:
-                notices.append(Notice(declared.PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
-    return tuple(found), tuple(notices)
-
-
-@dataclass(frozen=True)
-class _Mode:
-    """One oscillator, and the values (L,) to which it was fitted, corrected for all others."""
-
-    fit: Resonance
-    value: ComplexArray
-
-
-def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
-    """Fit every peak without the others, in rounds; a text is a failure's reason."""
-    found: list[_Mode | str] = ["no fit" for _ in windows]
-    for _ in range(_ROUNDS if len(windows) > 1 else 1):
-        for index, lines in enumerate(windows):
-            frequency = curve.transfer.ratio.frequency_hz[lines]
-            value = curve.value[lines].copy()
-            for other in (*found[:index], *found[index + 1 :]):
-                if isinstance(other, _Mode):
-                    oscillator = replace(other.fit, residual_terms=np.zeros(2, dtype=np.complex128))
-                    value -= oscillator.model(frequency, curve.transfer.added_decay_per_s)
-            try:
-                found[index] = _Mode(_best(curve, lines, value), value)
-            except (ValueError, np.linalg.LinAlgError) as error:
-                found[index] = ARGUMENT.sub("", str(error))
-    return found
-
-
-def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
-    """Return the largest significant peaks of |H|, with lines to an eighth of each."""
-    from scipy.signal import find_peaks
-
-    size = np.abs(curve.value)
-    relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
-    logarithm = np.log(size)
-    peaks, found = find_peaks(logarithm, prominence=_PROMINENCE)
-    keep = (found["prominences"] > _SIGNIFICANT * relative[peaks]) & (relative[peaks] < 1.0 / _SIGNIFICANT)
-    peaks = peaks[keep]
-    largest = np.sort(peaks[np.argsort(-found["prominences"][keep])[:_MOST]])
-    windows = []
-    for number, peak in enumerate(largest):
-        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : peak]))
-        high = len(size) if number + 1 == len(largest) else peak + int(np.argmin(size[peak : largest[number + 1]]))
-        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[peak]) + low
-        low = max([low, *(weak[weak < peak] + 1)])
-        high = min([high, *weak[weak > peak]])
-        if high - low >= _FEWEST_LINES:
-            windows.append((int(peak), slice(int(low), int(high))))
-    return windows
-
-
-def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
-    """Fit one oscillator to values (L,), with residual terms if they improve it."""
-    frequency = curve.transfer.ratio.frequency_hz[lines]
-    fit = curve.fit(lines, value, residual_terms=False)
-    if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
-        richer = curve.fit(lines, value, residual_terms=True)
-        fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
-    if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
-        raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
-    if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
-        raise ValueError("its damping is not determined because of noise")
-    return fit
-
-
-def _with_budget(
-    curve: _Curve, lines: slice, mode: _Mode, u_clock: float, influences: ModelInfluences
-) -> FoundResonance:
-    """Return a fit with its uncertainty by noise, common errors, clock and influences."""
-    frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
-    residual_terms = "constant_re" in fit.parameters
-    budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
-    for name, relative in curve.errors.items():
-        moved = curve.fit(lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
-        budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
-    if u_clock > 0.0:
-        budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
-    for cause, (by_frequency, by_damping) in influences.relative.items():
-        budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
-    u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
-    where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
-    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
-
 
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
 
@@ -321,13 +101,16 @@ def _evaluated(
     """Return the transfer functions over one reference with their notices."""
     raw = estimate_transfer(manifest, together, settings)
     reference, *responses = (channel_chain(channel, raw.ratio.frequency_hz) for channel in together.aligned.channels)
-    errors = ratio_errors(reference, responses)
+    errors, repeats = ratio_errors(reference, responses), repeat_errors(raw)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
     moved = reference.entry.quantity in TRANSDUCERS
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
     influences = stated_influences(manifest.rig, [manifest.mounting])
-    resonances, peak_notices = find_resonances(corrected, errors, kinds, together.u_clock, influences)
+    base = _base_acceleration(manifest, together, raw) if moved else None
+    resonances, peak_notices = find_resonances(
+        corrected, (*errors, *repeats), kinds, together.u_clock, influences, base
+    )
     ratio = corrected.ratio
     if errors:
         common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
@@ -336,10 +119,44 @@ def _evaluated(
         name=reference.entry.name,
         transfer=replace(corrected, ratio=ratio),
         random_covariance=corrected.ratio.covariance,
-        errors=errors,
-        resonances=resonances,
+        errors=(*errors, *repeats),
+        resonances=tuple(_with_one_repeatability(found) for found in resonances),
+        peaks=tuple(np.abs(together.samples.responses - together.samples.responses.mean(axis=0)).max(axis=0).tolist()),
     )
-    return result, [*together.aligned.notices, *raw.notices, *peak_notices, *_unstated_scales([reference, *responses])]
+    notices = [*raw.notices, *_distortions(manifest, together, raw), *peak_notices]
+    return result, [*together.aligned.notices, *notices, *_unstated_scales([reference, *responses])]
+
+
+def _base_acceleration(manifest: Manifest, together: SynchronousRecord, raw: TransferFunction) -> ComplexArray | None:
+    """Return phasors (K,) of a periodic base motion as accelerations, None for other excitations."""
+    period_s, rate = manifest.excitation.period, together.samples.sample_rate_hz
+    if period_s is None or raw.estimator != "periodic":
+        return None
+    reference = together.samples.reference
+    period = find_period(reference, period_s * rate, manifest.excitation.settle_periods)
+    frequency = raw.ratio.frequency_hz
+    seen = period_phasors(reference[:, None], period, (0.99 * frequency[0] / rate, 1.01 * frequency[-1] / rate))
+    harmonic = np.rint(frequency * period.samples / rate).astype(np.int64)
+    order = TRANSDUCERS[together.aligned.channels[0].entry.quantity].order
+    return np.asarray(seen.value.mean(axis=0)[harmonic - seen.harmonic[0], 0] * (2j * np.pi * frequency) ** -order)
+
+
+def _distortions(manifest: Manifest, together: SynchronousRecord, raw: TransferFunction) -> list[Notice]:
+    """Return notices of harmonics above the band of a periodic excitation."""
+    excitation, highest_hz = manifest.excitation, float(raw.ratio.frequency_hz[-1])
+    if excitation.period is None or raw.estimator != "periodic":
+        return []
+    return list(harmonics_above_band(together.samples, excitation.period, excitation.settle_periods, highest_hz))
+
+
+def _with_one_repeatability(found: FoundResonance) -> FoundResonance:
+    """Return a resonance with the effects of all repeats as one line of its budget."""
+    of_repeats = [change for name, change in found.budget.items() if name.startswith(REPEAT)]
+    if not of_repeats:
+        return found
+    others = {name: change for name, change in found.budget.items() if not name.startswith(REPEAT)}
+    by_frequency, by_damping = np.sqrt(np.sum(np.square(of_repeats), axis=0))
+    return replace(found, budget={**others, "repeatability": (float(by_frequency), float(by_damping))})
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:

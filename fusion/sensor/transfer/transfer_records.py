@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,6 +21,7 @@ from fusion.recording.units import unit_notices
 from fusion.sensor import response_notices as declared
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.amplitude import AmplitudeEffect
 from shaker.identification.measured_curves import CurveError
 from shaker.identification.oscillator import Resonance
 from shaker.io.condition import examine_samples
@@ -29,10 +30,12 @@ from shaker.timebase.tie import ClockTie
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
-EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
+EstimatorChoice = Literal["auto", "rest", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
 LASTING = ("noise", "multisine")
 """Kinds of excitation that never rest."""
+ENDS, QUIET = 100, 0.1
+"""Parts of a record of which the first and the last one are at rest; their range over that of the record."""
 SLOWEST, DITHERED = 100.0, 10.0
 """Samples of a period where no band is stated; how many times fewer steps suffice for a signal that dithers itself."""
 
@@ -43,7 +46,7 @@ class TransferSettings:
 
     Attributes
     ----------
-    estimator : "auto" (default), "periodic", "local", "H1", "H2" or "Hv".
+    estimator : "auto" (default), "rest", "periodic", "local", "H1", "H2" or "Hv".
     resolution_hz : line spacing of averaged spectra in Hz; None derives it from the length of the record.
     quantity : "displacement", "velocity" or "acceleration" of every motion; None keeps the measured quantity.
 
@@ -75,7 +78,8 @@ class FoundResonance:
     """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
     `u_frequency_hz`, `u_damping_ratio`: standard uncertainties by noise and all common errors. `budget`: change of
-    frequency (Hz) and damping ratio by one standard deviation of each cause.
+    frequency (Hz) and damping ratio by one standard deviation of each cause. `amplitude`: deviation from a linear
+    spring and damper, None if none is significant. A resonance that its curve refutes has NaN as uncertainties.
     """
 
     response: str
@@ -85,6 +89,7 @@ class FoundResonance:
     u_frequency_hz: float
     u_damping_ratio: float
     budget: dict[str, tuple[float, float]]
+    amplitude: AmplitudeEffect | None = None
 
 
 @dataclass(frozen=True)
@@ -95,8 +100,9 @@ class ReferenceResult:
     ----------
     transfer : corrected for delays and responses, as the requested quantity, with the covariance of all errors.
     random_covariance : (K, 2C, 2C) of the noise only.
-    errors : errors common to all lines.
+    errors : errors common to all lines; of repeats that differ, the effect of each, which `transfer` has in its noise.
     resonances : resonances of the curves.
+    peaks : (C,), largest reading of each response from its mean, in its unit; empty if not known.
     """
 
     name: str
@@ -104,6 +110,7 @@ class ReferenceResult:
     random_covariance: FloatArray
     errors: tuple[CurveError, ...]
     resonances: tuple[FoundResonance, ...]
+    peaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +120,16 @@ class TransferEvaluation(CommandEvaluation):
     manifest: Manifest
     references: tuple[ReferenceResult, ...]
     clocks: tuple[ClockResult, ...]
+
+
+REPEAT = "repeat "
+"""Prefix of the names of the effects of repeats."""
+
+
+def repeat_errors(transfer: TransferFunction) -> tuple[CurveError, ...]:
+    """Return the effect of each repeat on all lines, if repeats differ beyond noise."""
+    effects = () if transfer.repeat_effects is None else transfer.repeat_effects
+    return tuple(CurveError(f"{REPEAT}{number}", effect) for number, effect in enumerate(effects, 1))
 
 
 # Errors that act on all lines of a transfer function at once: scale, delay, chain response, clock.
@@ -229,12 +246,13 @@ class LocatedChannel:
 class SynchronousRecord:
     """One reference and its responses, `aligned` in this order, with their `samples` on one grid.
 
-    `u_clock`: relative standard uncertainty of the clock that counts the time.
+    `u_clock`: relative standard uncertainty of the clock that counts the time. `repeats`: the samples of further files.
     """
 
     aligned: AlignedChannels
     samples: TransferRecord
     u_clock: float
+    repeats: tuple[TransferRecord, ...] = ()
 
 
 def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
@@ -269,9 +287,29 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
             raise InputError(
                 declared.WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected
             )
-    records = read_daqs(manifest)
     selected = [by_name[name][0] for name in named]
-    return tuple(_together(manifest, records, [by_name[name][0], *selected]) for name in excitation.reference)
+    first, *further = (
+        [_together(part, records, [by_name[name][0], *selected]) for name in excitation.reference]
+        for part, records in ((part, read_daqs(part)) for part in _repeats(manifest))
+    )
+    return tuple(_joined(together, repeats) for together, *repeats in zip(first, *further, strict=True))
+
+
+def _repeats(manifest: Manifest) -> Iterator[Manifest]:
+    """Yield the manifest, and again with the files of every repeat."""
+    yield manifest
+    for number in range(len(manifest.daq[0].further_files)):
+        daq = tuple(daq.model_copy(update={"file": daq.further_files[number]}) for daq in manifest.daq)
+        yield replace(manifest, daq=daq)
+
+
+def _joined(together: SynchronousRecord, repeats: Sequence[SynchronousRecord]) -> SynchronousRecord:
+    """Return the first record with the samples and the notices of all repeats."""
+    notices = dict.fromkeys(notice for record in (together, *repeats) for notice in record.aligned.notices)
+    limits = [record.aligned.highest_hz for record in (together, *repeats)]
+    highest_hz = min((limit for limit in limits if limit is not None), default=None)
+    aligned = replace(together.aligned, notices=tuple(notices), highest_hz=highest_hz)
+    return replace(together, aligned=aligned, repeats=tuple(record.samples for record in repeats))
 
 
 def _together(
@@ -350,7 +388,9 @@ def align(
 def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
     """Refuse a channel with clipped or lost samples; yield a notice of coarse converter steps."""
     entry, raw, excitation = channel.entry, channel.record.raw[channel.entry.name], manifest.excitation
-    lasting = excitation.kind in LASTING  # constant samples are a defect only of signals that never rest
+    # Constant samples are a defect only of signals that never rest.
+    bursts = channel.record.entry.repeats or (excitation.kind == "noise" and _rests(raw.samples))
+    lasting = excitation.kind in LASTING and not bursts
     slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
     size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
     for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
@@ -367,6 +407,13 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
             unit=f" {raw.unit}" if raw.unit else "",
             step=defect.step,
         )
+
+
+def _rests(samples: FloatArray) -> bool:
+    """Return whether a signal begins and ends at rest, as a burst does."""
+    ends = max(2, len(samples) // ENDS)
+    largest = QUIET * float(np.ptp(samples))
+    return bool(np.ptp(samples[:ends]) < largest and np.ptp(samples[-ends:]) < largest)
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:

@@ -58,6 +58,7 @@ from shakercal._common.arrays import FloatArray
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
+REJECTED = "model refuted by the data"
 
 
 class TransferLine(NamedTuple):
@@ -170,7 +171,7 @@ RESONANCES: list[TableColumn[FoundResonance]] = [
     page_column("f₀ / Hz", lambda found: quantity_html(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
     page_column("damping ratio ζ / %", _damping),
     page_column("quality Q", lambda r: quantity_html(r.fit.quality, r.fit.quality * _relative_damping(r))),
-    page_column("fitted as", lambda found: found.fit.kind, "l"),
+    page_column("fitted as", lambda found: f"{found.fit.kind}, {found.fit.law}", "l"),
     page_column("lines / Hz", lambda found: f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}"),
     page_column("χ² per dof", lambda found: f"{found.fit.chi_squared / found.fit.dof:.2f}"),
 ]
@@ -183,9 +184,10 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
         fit = found.fit
         value = quantity_html(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
-        lines.append(Headline(f"Resonance of {_over(found)}", value, f"U (k = 2) = {u_frequency:.2g} %"))
-        remark = f"Q = {fit.quality:.5g}; U (k = 2) = {100.0 * _relative_damping(found):.2g} %"
-        lines.append(Headline("Damping ratio ζ", _damping(found, "%"), remark))
+        remarks = [f"U (k = 2) = {u:.2g} %" for u in (u_frequency, 100.0 * _relative_damping(found))]
+        remarks = remarks if np.isfinite(u_frequency) else [REJECTED] * 2
+        lines.append(Headline(f"Resonance of {_over(found)}", value, remarks[0]))
+        lines.append(Headline("Damping ratio ζ", _damping(found, "%"), f"Q = {fit.quality:.5g}; {remarks[1]}"))
     return lines
 
 
@@ -199,7 +201,8 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
         fit = found.fit
         frequency = quantity_text(fit.frequency_hz, 2.0 * found.u_frequency_hz)
         damping = quantity_text(100.0 * fit.damping_ratio, 200.0 * found.u_damping_ratio)
-        yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}"
+        remark = "" if np.isfinite(found.u_frequency_hz) else f" ({REJECTED})"
+        yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}{remark}"
 
 
 def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
@@ -225,6 +228,9 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
         excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
     if excitation.period is not None:
         excited.append(f"period {excitation.period:g} s, {excitation.settle_periods} left out to settle")
+    further = len(evaluation.manifest.daq[0].further_files)
+    if further:
+        excited.append(f"{1 + further} files")
     used = {result.name for result in evaluation.references}
     used |= {name for result in evaluation.references for name in result.transfer.ratio.channels}
     channels = [
@@ -244,7 +250,7 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
             "Transfer functions, U: 95 %, k by the degrees of freedom of each line", CURVES, curves(evaluation)
         ),
         "resonances": table("Resonances with U (k = 2)", RESONANCES, resonances(evaluation)),
-        "budgets": [_budget_table(found, influences.missing) for found in resonances(evaluation)],
+        "budgets": [_budget_table(found, influences.missing) for found in resonances(evaluation) if found.budget],
         "channels": table("Channels and their chains as stated", CHANNELS, channels),
     }
 
