@@ -77,8 +77,8 @@ class StepRecord:
 
 # Reading of a record before a model is identified.
 
-ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
-"""Time course of a load: at once, linear, along half a cosine, or as the force channel shows."""
+ReleaseShape = Literal["step", "ramp", "smooth", "exponential", "stages", "measured"]
+"""Time course of a load: at once, linear, along half a cosine, like a lag, in two ramps, or as the force shows."""
 
 
 @dataclass(frozen=True)
