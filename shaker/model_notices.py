@@ -231,6 +231,14 @@ RELEASE_SHAPE_UNDETERMINED = DeclaredNotice(
     remedy="Measure the force, or use a shorter release.",
     link="steps.md",
 )
+LAG_NOT_ATTRIBUTED = DeclaredNotice(
+    "SC-860",
+    "warning",
+    "The record does not show whether the chain of the output lags by {low_us:.3g} or {high_us:.3g} µs.",
+    effect="The rest is a slower release. Bands, overshoot, rise time and phase depend on it; U includes both.",
+    remedy="State the response of the output's channel, measure the force, or add releases by a much faster device.",
+    link="steps.md",
+)
 NO_CONTINUOUS_MODEL = DeclaredNotice(
     "SC-372",
     "warning",

@@ -11,14 +11,18 @@ import numpy as np
 
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import Conversion, LinearSystem, ModalModel
-from shaker.model_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
+from shaker.model_notices import (
+    LAG_NOT_ATTRIBUTED,
+    NO_CONTINUOUS_MODEL,
+    OUTPUT_DIVERGES,
+    RELEASE_SHAPE_UNDETERMINED,
+)
 from shaker.release.load_response import ReleaseLoad, every_sample, reduce_to_blocks
 from shaker.release.model_order import (
     OrderSearch,
     add_numerator_terms,
     fit_all_orders,
     fit_notices,
-    penalised_chi_squared,
     search_order,
     with_loose_prior,
 )
@@ -33,14 +37,25 @@ from shaker.release.output_error import (
 )
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.shape_hypotheses import (
+    Alternative,
+    alternatives,
+    exchange_lags,
+    release_is_slower,
+    shape_chi_squared,
+    with_both_lags,
+    with_further_shapes,
+)
 from shakercal._common.arrays import Arrays, FloatArray
-from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
+from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.kernels import njit
 from shakercal._common.notices import Notice
 
 # Result of an identification from a step response, for all methods.
 
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
+Attribution = Literal["fast chain", "slow chain", "both in the chain"]
+"""Which lag of an exponential release is that of the chain; both leave the same record."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +67,8 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     `fitted`, `residual` (N,) over `time_s` (N,) in output units. `onset_s`, `u_onset_s`, `release_s`, `u_release_s`:
     start and length of the release, whose time course is `shape`. `variance_accounted`: 1 - |residual|²/|y - mean|².
     `convergence`: loss over iterations, generations or the order 1, 2, …. `order`: number of poles. `duration_s`:
-    computing time. `excess`: χ² above that of the likeliest shape.
+    computing time. `excess`: χ² above that of the likeliest shape. `attribution`: of the two lags of an exponential
+    release. `solution`: of output-error least squares.
     """
 
     method: Method
@@ -76,7 +92,15 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     u_release_s: float
     shape: ReleaseShape = "step"
     excess: float = 0.0
+    attribution: Attribution = "fast chain"
     notices: tuple[Notice, ...] = ()
+    solution: OutputErrorFit | None = None
+
+    @property
+    def hypothesis(self) -> str:
+        """Shape of the release, of an exponential one with the attribution of the lags."""
+        other = self.shape == "exponential" and self.attribution != "fast chain"
+        return f"{self.shape}, {self.attribution}" if other else self.shape
 
 
 # A solution as a result.
@@ -115,13 +139,23 @@ def as_step_fit(
         u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
         notices=fit_notices(record, reading, solution, model, covariance),
+        solution=solution,
     )
 
 
 # Model of a sensor from the record of one release.
 
-SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
-ReleaseOption = Literal["step", "ramp", "smooth", "measured"]
+SHAPES = {
+    "step": "a step",
+    "ramp": "a ramp",
+    "smooth": "half a cosine",
+    "exponential": "an exponential",
+    "stages": "two stages",
+    "measured": "the measured force",
+}
+ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
+_PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
+_HOPELESS = 4.0 * REJECT_CHI2  # χ² of a further shape above that of the likeliest from which it is left out
 
 
 def fit_step(
@@ -149,8 +183,8 @@ def fit_step(
     method
         start values from a matrix "pencil" (default) or an "arx" model
     release
-        "step", "ramp", "smooth" or "measured"; default None: the measured force, else the likelier of ramp and half
-        cosine
+        "step", "ramp", "smooth", "exponential" or "measured"; default None: the measured force, else the likeliest of
+        ramp, half cosine, exponential, and two stages
 
     Returns
     -------
@@ -159,7 +193,8 @@ def fit_step(
     Notes
     -----
     The covariance contains the noise of the record, coloured or white, the baseline, the release and the amplitude of
-    the load. It also contains the effect of the other shape of the release if the record does not reject it.
+    the load. It also contains the effect of other shapes of the release that the record does not reject. A lag may be
+    that of an exponential release or of the chain, which one record does not show; then it contains both.
 
     Examples
     --------
@@ -176,13 +211,7 @@ def fit_step(
     reading = reading or read_release(record, channel)
     fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
     fit = merge_alternatives(fits)
-    where = f"{record.name}, {channel}"
-    shapes = [
-        Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text)
-        for other in fits[1:]
-        if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
-    ]
-    return replace(fit, notices=(*fit.notices, *shapes))
+    return replace(fit, notices=(*fit.notices, *shape_notices(fits, f"{record.name}, {channel}")))
 
 
 def fit_shapes(
@@ -197,33 +226,98 @@ def fit_shapes(
     """Return the result of `fit_step` for each possible shape, the likeliest first."""
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
-    found = search_order(
-        OrderSearch(whole, reading, candidate_loads(record, reading, release), method, modes, real_poles)
+    loads = candidate_loads(record, reading, release)
+    found = search_order(OrderSearch(whole, reading, loads, method, modes, real_poles))
+    if loads[0].lasting and release in (None, "exponential"):
+        found = with_further_shapes(found, real_poles is None)
+        found = tuple(one for one in found if release in (None, one.problem.load.shape))
+    least = shape_chi_squared(found[0])
+    fits = list[StepFit]()
+    for one in found:
+        excess = shape_chi_squared(one) - least
+        if excess < _HOPELESS or one.problem.load in loads:
+            fits += _attributed(
+                replace(as_step_fit(record, reading, one, method, began), excess=excess), record, reading
+            )
+    return order_hypotheses(fits)
+
+
+def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> list[StepFit]:
+    """Return a fit, of an exponential release with every attribution of its lags to chain and release."""
+    solution = fit.solution
+    if solution is None or fit.shape != "exponential" or not solution.problem.structure.reals:
+        return [fit]
+    other = replace(as_step_fit(record, reading, exchange_lags(solution), fit.method, 0.0), duration_s=fit.duration_s)
+    fast, slow = (fit, other) if release_is_slower(solution) else (other, fit)
+    fast, slow = replace(fast, excess=fit.excess), replace(slow, excess=fit.excess, attribution="slow chain")
+    assert slow.model is not None
+    both = replace(
+        slow, model=with_both_lags(slow.model, slow.release_s), attribution="both in the chain", solution=None
     )
-    fits = [as_step_fit(record, reading, one, method, began) for one in found]
-    least, *_ = costs = [penalised_chi_squared(one) for one in found]
-    return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
+    return [fast, slow, both]
 
 
-def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
-    """Return the first fit, its uncertainty including fits that are not rejected.
+def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
+    """Return fits of one release, the likeliest first, with χ² above the first; those of another structure left out.
 
-    `excess`: χ² of the other fit above the first, default None: that of the record itself.
+    An exponential release counts as the likeliest if its χ² is lower by more than 4.
     """
+    cost = [fit.excess + _PREFERENCE * (fit.shape == "exponential") for fit in fits]
+    ordered = [fits[index] for index in np.argsort(cost, kind="stable")]
+    alike = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
+    return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in alike)
+
+
+def _parameters(fit: StepFit) -> FloatArray:
+    """Return the parameters of a model, none without a modal form."""
+    return np.zeros(0) if fit.model is None else fit.model.vector
+
+
+def alternative_fits(fits: Sequence[StepFit]) -> list[tuple[StepFit, Alternative]]:
+    """Return the fits after the first that are not rejected, each with its distance from the first."""
+    first, others = fits[0], [(fit, fit.model) for fit in fits[1:] if fit.model is not None]
+    if first.model is None:
+        return []
+    lags = any(fit.shape == "exponential" and fit.excess < REJECT_CHI2 for fit in fits)
+    found = alternatives(first.model, [(model, fit.excess) for fit, model in others], lags)
+    return [(others[one.number][0], one) for one in found]
+
+
+def merge_alternatives(fits: Sequence[StepFit]) -> StepFit:
+    """Return the first fit, its uncertainty including fits that are not rejected."""
     first = fits[0]
-    for other in fits[1:]:
-        more = other.excess if excess is None else excess
-        if more >= REJECT_CHI2 or first.model is None or other.model is None or first.model.covariance is None:
-            continue
-        far = excess_chi2_sigmas(more)
-        shift = (other.model.vector - first.model.vector) / far
+    for other, end in alternative_fits(fits):
+        assert first.model is not None
+        assert first.model.covariance is not None
+        covariance = first.model.covariance + np.outer(end.change, end.change) / end.distance**2
         first = replace(
             first,
-            model=replace(first.model, covariance=first.model.covariance + np.outer(shift, shift)),
-            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
-            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
+            model=replace(first.model, covariance=covariance),
+            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / end.distance)),
+            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / end.distance)),
         )
     return first
+
+
+def shape_notices(fits: Sequence[StepFit], where: str) -> list[Notice]:
+    """Return notices of release shapes and of attributions of lags that a record does not determine."""
+    texts = {
+        fit.shape: describe_difference(fits[0], fit)
+        for fit in fits[1:]
+        if fit.excess < REJECT_CHI2 and fit.shape not in (fits[0].shape, "exponential")
+    }
+    notices = [Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text) for text in texts.values() if text]
+    lag = lag_notice(fits, where)
+    return notices if lag is None else [*notices, lag]
+
+
+def lag_notice(fits: Sequence[StepFit], where: str) -> Notice | None:
+    """Return the notice of a lag that is the chain's or that of an exponential release, None if it is determined."""
+    possible = [fit for fit in fits if fit.excess < REJECT_CHI2 and fit.model is not None and len(fit.model.real_hz)]
+    if not any(fit.shape == "exponential" and describe_difference(fits[0], fit) for fit in possible[1:]):
+        return None
+    lags = [float(np.max(1e6 / (2.0 * np.pi * fit.model.real_hz))) for fit in possible if fit.model is not None]
+    return Notice(LAG_NOT_ATTRIBUTED, where, low_us=min(lags), high_us=max(lags))
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
@@ -251,7 +345,7 @@ def candidate_loads(
         rest = record.time_s < reading.onset_s - 3.0 * reading.u_onset_s
         level = float(np.mean(record.force[rest])) if np.any(rest) else float(record.force[0])
         return (ReleaseLoad("measured", record.amplitude, record.force - level, record.start_s),)
-    if release is not None:
+    if release not in (None, "exponential"):
         return (ReleaseLoad(release, record.amplitude),)
     return tuple(ReleaseLoad(shape, record.amplitude) for shape in ("ramp", "smooth"))
 
