@@ -232,8 +232,14 @@ def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
     return np.where(finite[:, None], left, np.inf)
 
 
-def solve(problem: OutputErrorProblem, start: FloatArray, steps: int = _STEPS) -> OutputErrorFit:
-    """Return the fit from a start vector (K,), baseline and numerator projected out, after `steps` at most."""
+def solve(
+    problem: OutputErrorProblem, start: FloatArray, enough: float = _ENOUGH, hopeless: float = np.inf
+) -> OutputErrorFit:
+    """Return the fit from a start vector (K,), baseline and numerator projected out.
+
+    It ends when a step is predicted to lower χ² by less than `enough`, or when a sum of squares below `hopeless` is
+    not in sight.
+    """
     weight = problem.samples.weight[:, None]
     data = problem.samples.value[:, None] * weight
     modes, order = problem.structure.modes, problem.structure.order
@@ -260,7 +266,11 @@ def solve(problem: OutputErrorProblem, start: FloatArray, steps: int = _STEPS) -
     if first is None:
         raise ValueError(f"start: expected modes that oscillate and a release in the record, found {start.tolist()}")
     rules = LMOptions(
-        predicted_decrease_share=_ENOUGH / first.freedom, max_steps=steps, damping_decrease=0.03, min_damping=1e-8
+        predicted_decrease_share=enough / first.freedom,
+        tolerance=hopeless,
+        max_steps=_STEPS,
+        damping_decrease=0.03,
+        min_damping=1e-8,
     )
     end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(problem.prior, problem.u_prior))
     return OutputErrorFit(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)

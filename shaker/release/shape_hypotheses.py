@@ -17,13 +17,14 @@ from shaker.release.record import ReleaseShape
 from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, REJECT_CHI2
 
-_SPLITS = (0.03, 0.12, 0.3)  # trial shares of the chain in the squared lags of chain and release
+_SPLITS = (0.003, 0.03, 0.12, 0.3)  # trial shares of the chain in the squared lags of chain and release
 _SHARES = (0.35, 0.5, 0.65)  # trial shares of the first of two stages
 _DISTANCES = (0.1, 0.2, 0.35, 0.6)  # trial distances of two stages, in periods of the lowest mode
 _LAGS = (0.1, 0.3)  # trial lags of the chain with two stages, in radians of the lowest mode
 _PART = 0.1  # trial length of a stage over their distance
 _LOOSE = (0.5, 2.0)  # standard deviations of share and logarithm of the length of a stage in the fit
-_STEPS = 40  # of a fit from known poles
+HOPELESS = 4.0 * REJECT_CHI2  # χ² of a further shape above that of the likeliest from which it is left out
+_ENOUGH = 0.03  # predicted fall of χ² by a step at which a fit from known poles ends
 _DISTURBED = 4.0  # significant excess of the residual about the release, in standard deviations
 
 
@@ -110,7 +111,8 @@ def _fit_from(plain: OutputErrorFit, shape: ReleaseShape, starts: Sequence[Float
     problem, start = with_loose_prior(problem, start, highest_hz)
     if shape == "stages":
         problem = replace(problem, u_prior=np.concatenate([problem.u_prior[:-2], _LOOSE]))
-    fit = solve(problem, start, _STEPS)
+    far = HOPELESS + TERM * plain.problem.structure.order if plain.problem.structure.terms == 1 else np.inf
+    fit = solve(problem, start, _ENOUGH, plain.square * np.exp(min(far * problem.colour / plain.size, 700.0)))
     if plain.problem.structure.terms == 1 or shape_chi_squared(fit) < penalised_chi_squared(plain):
         return fit
     return add_numerator_terms(fit, [fit.vector] * structure.order, highest_hz)

@@ -38,6 +38,7 @@ from shaker.release.output_error import (
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
 from shaker.release.shape_hypotheses import (
+    HOPELESS,
     Alternative,
     alternatives,
     exchange_lags,
@@ -155,7 +156,6 @@ SHAPES = {
 }
 ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
 _PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
-_HOPELESS = 4.0 * REJECT_CHI2  # χ² of a further shape above that of the likeliest from which it is left out
 
 
 def fit_step(
@@ -235,7 +235,7 @@ def fit_shapes(
     fits = list[StepFit]()
     for one in found:
         excess = shape_chi_squared(one) - least
-        if excess < _HOPELESS or one.problem.load in loads:
+        if excess < HOPELESS or one.problem.load in loads:
             fits += _attributed(
                 replace(as_step_fit(record, reading, one, method, began), excess=excess), record, reading
             )
