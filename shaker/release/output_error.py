@@ -121,7 +121,7 @@ class OutputErrorProblem(Arrays):
     first and the logarithm of the length of each follow. `prior`, `u_prior` (K,): prior values and standard deviations,
     wide, infinite for the modes. With them a record that does not determine real poles or the release can be fitted.
     `onset_s`: of a load without a timed release. `colour`: density of the blocks' noise over that of white noise with
-    the samples' variance, 1 for white noise.
+    the samples' variance, 1 for white noise. `chain`: stated logarithm of the first real pole in rad/s, and its u.
     """
 
     structure: PoleStructure
@@ -131,6 +131,13 @@ class OutputErrorProblem(Arrays):
     u_prior: FloatArray
     onset_s: float = 0.0
     colour: float = 1.0
+    chain: tuple[float, float] | None = None
+
+    def pull(self, vector: FloatArray) -> float:
+        """Return the squared deviation of the first real pole from the stated one, in its u; 0 if none is stated."""
+        if self.chain is None or not self.structure.reals:
+            return 0.0
+        return float((vector[2 * self.structure.modes] - self.chain[0]) / self.chain[1]) ** 2
 
     def release(self, vector: FloatArray) -> tuple[float, float]:
         """Return the middle and the length of the release in s."""
@@ -262,6 +269,11 @@ def solve(
 
         return SeparablePoint(vector, (LinearBlock(weighted, data, changes),))
 
+    prior, u_prior = problem.prior, problem.u_prior
+    if problem.chain is not None and problem.structure.reals:
+        prior, u_prior, start = prior.copy(), u_prior.copy(), start.copy()
+        prior[2 * modes], u_prior[2 * modes] = problem.chain
+        start[2 * modes] = problem.chain[0]
     first = at(start)
     if first is None:
         raise ValueError(f"start: expected modes that oscillate and a release in the record, found {start.tolist()}")
@@ -272,7 +284,7 @@ def solve(
         damping_decrease=0.03,
         min_damping=1e-8,
     )
-    end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(problem.prior, problem.u_prior))
+    end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(prior, u_prior))
     return OutputErrorFit(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
 
 
@@ -392,6 +404,9 @@ def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArra
     added, squares = np.zeros(len(scale)), np.zeros(len(scale))
     if problem.load.timed:
         added[structure.order] = 1.0 / (problem.u_prior[structure.order] * scale[structure.order]) ** 2
+    if problem.chain is not None and structure.reals:
+        place = 2 * structure.modes
+        added[place] = 1.0 / (problem.chain[1] * scale[place]) ** 2
     real = slice(2 * structure.modes, structure.order)
     squares[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
     if problem.load.lasting:

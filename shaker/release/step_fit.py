@@ -155,6 +155,8 @@ SHAPES = {
     "measured": "the measured force",
 }
 ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
+_SHORTEST = 0.02  # lag of a stated chain, in radians of the highest peak, below which it has no effect
+_EXACT = 1e-3  # least relative standard uncertainty of a stated lag
 _PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
 
 
@@ -194,7 +196,8 @@ def fit_step(
     -----
     The covariance contains the noise of the record, coloured or white, the baseline, the release and the amplitude of
     the load. It also contains the effect of other shapes of the release that the record does not reject. A lag may be
-    that of an exponential release or of the chain, which one record does not show; then it contains both.
+    that of an exponential release or of the chain, which one record does not show. Without a stated lag of the chain
+    (`StepRecord.lag_s`) the covariance contains both.
 
     Examples
     --------
@@ -227,7 +230,8 @@ def fit_shapes(
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     loads = candidate_loads(record, reading, release)
-    found = search_order(OrderSearch(whole, reading, loads, method, modes, real_poles))
+    search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))
+    found = search_order(search)
     if loads[0].lasting and release in (None, "exponential"):
         found = with_further_shapes(found, real_poles is None)
         found = tuple(one for one in found if release in (None, one.problem.load.shape))
@@ -242,10 +246,21 @@ def fit_shapes(
     return order_hypotheses(fits)
 
 
+def _stated_pole(record: StepRecord, reading: ReleaseReading) -> tuple[float, float] | None:
+    """Return the logarithm of the real pole of a stated chain in rad/s, with u; None if it is not stated."""
+    if record.lag_s is None:
+        return None
+    least = _SHORTEST / (2.0 * np.pi * max((peak.frequency_hz for peak in reading.peaks), default=1.0))
+    lag = max(record.lag_s, least)
+    return -float(np.log(lag)), float(np.hypot(max(record.u_lag_s, _EXACT * lag), lag - record.lag_s)) / lag
+
+
 def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> list[StepFit]:
     """Return a fit, of an exponential release with every attribution of its lags to chain and release."""
     solution = fit.solution
-    if solution is None or fit.shape != "exponential" or not solution.problem.structure.reals:
+    if solution is None or fit.shape != "exponential":
+        return [fit]
+    if not solution.problem.structure.reals or solution.problem.chain is not None:
         return [fit]
     other = replace(as_step_fit(record, reading, exchange_lags(solution), fit.method, 0.0), duration_s=fit.duration_s)
     fast, slow = (fit, other) if release_is_slower(solution) else (other, fit)
@@ -262,7 +277,8 @@ def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
 
     An exponential release counts as the likeliest if its χ² is lower by more than 4.
     """
-    cost = [fit.excess + _PREFERENCE * (fit.shape == "exponential") for fit in fits]
+    doubtful = any(fit.attribution != "fast chain" for fit in fits)
+    cost = [fit.excess + _PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
     ordered = [fits[index] for index in np.argsort(cost, kind="stable")]
     alike = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
     return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in alike)
