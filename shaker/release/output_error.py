@@ -255,9 +255,9 @@ def solve(
     def at(vector: FloatArray) -> SeparablePoint | None:
         """Return the best baseline and numerator for given poles and release, None if impossible."""
         steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
-        staged = problem.stages(vector)
-        one_stage = staged is not None and not 0.0 < staged.share < 1.0
-        if steep or one_stage or np.any(np.abs(vector[:order]) > 50.0) or np.any(vector[lengths] > longest):
+        if steep or np.any(np.abs(vector[:order]) > 50.0) or np.any(vector[lengths] > longest):
+            return None
+        if problem.load.shape == "stages" and not 0.0 < vector[-2] < 1.0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             matrix, answered = columns(problem, vector, problem.samples)

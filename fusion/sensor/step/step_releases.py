@@ -33,17 +33,16 @@ from shaker.lti.system import ModalModel
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.step_fit import (
-    METHODS,
     Method,
     StepFit,
     alternative_fits,
     describe_difference,
-    fit_all_methods,
     fit_shapes,
     lag_notice,
     merge_alternatives,
     order_hypotheses,
 )
+from shaker.release.step_methods import METHODS, fit_all_methods
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.notices import Notice
