@@ -197,11 +197,18 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
             continue
         directions.append(rest)
         moved = rest * size * distance
-        share = float(np.max(np.abs(moved[: 2 * modes + reals] / here[: 2 * modes + reals])))
-        step = _FIRST_ORDER / max(1.0, share)
-        ahead, behind, end = (from_coordinates(here + by * moved, modes, reals, scale) for by in (step, -step, 1.0))
-        result.append(Alternative(number, first.with_vector(end), distance, (ahead - behind) / (2.0 * step)))
+        end = first.with_vector(from_coordinates(here + moved, modes, reals, scale))
+        result.append(Alternative(number, end, distance, parameter_change(first, moved)))
     return result
+
+
+def parameter_change(model: ModalModel, shift: FloatArray) -> FloatArray:
+    """Return the change (P,) of a model's parameters of first order for a shift of its coordinates (P,)."""
+    scale, modes, reals = scale_of(model), len(model.frequency_hz), len(model.real_hz)
+    here, poles = to_coordinates(model, scale), slice(0, 2 * modes + reals)
+    step = _FIRST_ORDER / max(1.0, float(np.max(np.abs(shift[poles] / here[poles]))))
+    ahead, behind = (from_coordinates(here + by * shift, modes, reals, scale) for by in (step, -step))
+    return np.asarray((ahead - behind) / (2.0 * step))
 
 
 def _linear_shift(here: FloatArray, there: FloatArray, modes: int, reals: int) -> FloatArray:

@@ -14,10 +14,12 @@ from shaker.model_notices import (
     LAG_NOT_ATTRIBUTED,
     RELEASE_SHAPE_UNDETERMINED,
 )
+from shaker.release.amplitude_dependence import amplitude_dependence, distinct_modes
 from shaker.release.load_response import ReleaseLoad, every_sample
 from shaker.release.model_order import (
     OrderSearch,
     fit_notices,
+    penalised_chi_squared,
     search_order,
 )
 from shaker.release.output_error import (
@@ -104,6 +106,10 @@ def as_step_fit(
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     covariance = fit_covariance(solution, whole)
     model = modal_model(solution, covariance.covariance, record.u_amplitude)
+    notices = fit_notices(record, reading, solution, model, covariance)
+    if (dependence := amplitude_dependence(solution)) is not None:
+        model = dependence.widen(model)
+        notices = (*notices, dependence.notice(model, record.unit, f"{record.name}, {reading.channel}"))
     middle, length = solution.problem.release(solution.vector)
     timed = solution.problem.load.timed
     decimation = int(solution.problem.samples.length[-1])
@@ -128,7 +134,7 @@ def as_step_fit(
         release_s=length,
         u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
-        notices=fit_notices(record, reading, solution, model, covariance),
+        notices=notices,
         solution=solution,
     )
 
@@ -144,6 +150,7 @@ SHAPES = {
     "measured": "the measured force",
 }
 ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
+_EXPLAINED = 0.8  # share of what further modes explain that a drift with the amplitude must explain to replace them
 _SHORTEST = 0.02  # lag of a stated chain, in radians of the highest peak, below which it has no effect
 _EXACT = 1e-3  # least relative standard uncertainty of a stated lag
 _PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
@@ -220,7 +227,7 @@ def fit_shapes(
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     loads = candidate_loads(record, reading, release)
     search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))
-    found = search_order(search)
+    found = _without_drift(search)
     if loads[0].lasting and release in (None, "exponential"):
         found = with_further_shapes(found, real_poles is None)
         found = tuple(one for one in found if release in (None, one.problem.load.shape))
@@ -233,6 +240,21 @@ def fit_shapes(
                 replace(as_step_fit(record, reading, one, method, began), excess=excess), record, reading
             )
     return order_hypotheses(fits)
+
+
+def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
+    """Return the supported fits; those of fewer modes if some only follow the drift of another with its amplitude."""
+    found = search_order(search)
+    while search.modes is None and (distinct := distinct_modes(found[0])) < found[0].problem.structure.modes:
+        fewer = search_order(replace(search, modes=distinct))
+        dependence = amplitude_dependence(fewer[0])
+        explained = 0.0 if dependence is None else (1.0 - dependence.square_share) * fewer[0].square
+        if explained > _EXPLAINED * (fewer[0].square - found[0].square):
+            return fewer
+        if penalised_chi_squared(fewer[0]) >= penalised_chi_squared(found[0]):
+            break
+        found = fewer
+    return found
 
 
 def _stated_pole(record: StepRecord, reading: ReleaseReading) -> tuple[float, float] | None:
