@@ -45,7 +45,7 @@ class AmplitudeDependence:
     square_share: float
 
     def widen(self, model: ModalModel) -> ModalModel:
-        """Return a model whose covariance includes both ends of the range of amplitude, at a constant static gain."""
+        """Return a model whose covariance includes small and first amplitudes."""
         if model.covariance is None:
             return model
         covariance, modes = model.covariance, len(model.frequency_hz)
@@ -70,7 +70,7 @@ class AmplitudeDependence:
 
 
 class _Decay(NamedTuple):
-    """Samples after a release (B,), their derivatives by all parameters (B, K), and the strongest mode z (B,)."""
+    """Decay of the strongest mode `z` (B,), residual, derivatives by all parameters (B, K)."""
 
     mode: int
     pole: complex
@@ -82,14 +82,14 @@ class _Decay(NamedTuple):
 
 
 def distinct_modes(fit: OutputErrorFit) -> int:
-    """Return the number of modes if those closer than their half widths are one, as a mode that drifts is fitted."""
+    """Return the number of modes if overlapping ones are one mode that drifts."""
     poles = fit.problem.structure.poles(fit.vector)[: fit.problem.structure.modes]
     poles = poles[np.argsort(poles.imag)]
     return 1 + int(np.count_nonzero(np.diff(poles.imag) > np.abs(poles.real[1:]) + np.abs(poles.real[:-1])))
 
 
 def _decay(fit: OutputErrorFit) -> _Decay:
-    """Return the decay of the strongest mode of a fit, weighted by the length of blocks."""
+    """Return the decay of the strongest mode, weighted by the length of blocks."""
     problem, samples, structure = fit.problem, fit.problem.samples, fit.problem.structure
     poles, (middle, length) = structure.poles(fit.vector), problem.release(fit.vector)
     residues = 2.0 * structure.shares(fit.vector)[: structure.modes] @ fit.linear[1:]

@@ -130,7 +130,7 @@ class ReleaseLoad(Arrays):
 
 
 class Stages(NamedTuple):
-    """A release in two ramps: share of the load in the first, length of each in s."""
+    """A release in two ramps: share of the first, length of each."""
 
     share: float = 0.5
     part_s: float = 0.0
@@ -249,7 +249,7 @@ def _staged(
     stages: Stages,
     rows: int,
 ) -> ComplexArray:
-    """Return rows of `BlockResponses` for two ramps, those by share and length of the stages last.
+    """Return rows of `BlockResponses` for two ramps, those by `stages` last.
 
     The length of the release is that of one stage and the distance of their middles. At a fixed length of the stages,
     a change of the whole moves them apart.

@@ -134,7 +134,7 @@ class OutputErrorProblem(Arrays):
     chain: tuple[float, float] | None = None
 
     def pull(self, vector: FloatArray) -> float:
-        """Return the squared deviation of the first real pole from the stated one, in its u; 0 if none is stated."""
+        """Return the squared deviation from the stated real pole in its u, 0 without one."""
         if self.chain is None or not self.structure.reals:
             return 0.0
         return float((vector[2 * self.structure.modes] - self.chain[0]) / self.chain[1]) ** 2

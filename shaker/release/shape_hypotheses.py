@@ -1,4 +1,4 @@
-"""Further time courses of a load, fitted from the poles of the likeliest: exponential, and in two stages."""
+"""Exponential and two-stage releases, fitted from known poles; attribution of lags."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _DISTURBED = 4.0  # significant excess of the residual about the release, in sta
 
 
 def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple[OutputErrorFit, ...]:
-    """Return fits with that of an exponential release, and of two stages if the record calls for it.
+    """Return fits with those of an exponential release and of two stages.
 
-    `found`: the likeliest first. `by_rule`: whether the number of real poles is free; an exponential release may then
+    Two stages are fitted if the record calls for them. `found`: the likeliest first. `by_rule`: whether the number of real poles is free; an exponential release may then
     replace a second one.
     """
     likeliest, fits = found[0], [*found]
@@ -48,12 +48,12 @@ def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple
 
 
 def shape_chi_squared(fit: OutputErrorFit) -> float:
-    """Return the penalised χ² with 8 for each of the two further unknowns of a release in stages."""
+    """Return the penalised χ², with 8 for each further unknown of two stages."""
     return penalised_chi_squared(fit) + 2.0 * TERM * (fit.problem.load.shape == "stages")
 
 
 def about_release(fit: OutputErrorFit) -> BoolArray:
-    """Return which blocks (B,) start about the release or within a period of the lowest mode after it."""
+    """Return which blocks (B,) start about the release or a period after it."""
     middle, length = fit.problem.release(fit.vector)
     period = 2.0 * np.pi / float(np.exp(fit.vector[: fit.problem.structure.modes].min()))
     late = fit.problem.samples.time_s - middle
@@ -61,7 +61,7 @@ def about_release(fit: OutputErrorFit) -> BoolArray:
 
 
 def _calls_for_stages(fit: OutputErrorFit) -> bool:
-    """Return whether a fit needs zeros or further poles, or misses the samples about the release."""
+    """Return whether a fit needs zeros, further poles, or misses the release."""
     structure, samples, near = fit.problem.structure, fit.problem.samples, about_release(fit)
     residual = samples.weight * (samples.value - design(fit.problem, fit.vector, samples) @ fit.linear)
     if not np.any(near) or np.all(near):
@@ -72,7 +72,7 @@ def _calls_for_stages(fit: OutputErrorFit) -> bool:
 
 
 def _exponential_starts(fit: OutputErrorFit, reals: int) -> list[FloatArray]:
-    """Return start vectors with the delay and the squared lags of a fit, parts of them in the chain."""
+    """Return start vectors with the delay and the squared lags of a fit."""
     problem, modes, order = fit.problem, fit.problem.structure.modes, fit.problem.structure.order
     lags = np.exp(-fit.vector[2 * modes : order])
     middle, length = problem.release(fit.vector)
@@ -122,7 +122,7 @@ def _fit_from(plain: OutputErrorFit, shape: ReleaseShape, starts: Sequence[Float
 
 
 def exchange_lags(fit: OutputErrorFit) -> OutputErrorFit:
-    """Return the fit of an exponential release whose lag is that of the slowest real pole, and that pole faster."""
+    """Return the fit with the lags of release and slowest real pole exchanged."""
     order, vector, linear, slowest = fit.problem.structure.order, fit.vector.copy(), fit.linear.copy(), _slowest(fit)
     chain, release = np.exp(-vector[slowest]), 0.5 * np.exp(vector[order + 1])
     vector[[slowest, order + 1]] = -np.log(release), np.log(2.0 * chain)
@@ -138,7 +138,7 @@ def release_is_slower(fit: OutputErrorFit) -> bool:
 
 
 def with_both_lags(model: ModalModel, release_s: float) -> ModalModel:
-    """Return a model whose slowest real pole has also the lag of an exponential release of a length."""
+    """Return a model whose slowest real pole has also the release's lag."""
     scale, modes, reals = scale_of(model), len(model.frequency_hz), len(model.real_hz)
     coordinates, slowest = to_coordinates(model, scale), 2 * modes + int(np.argmin(model.real_hz))
     coordinates[slowest] = np.hypot(coordinates[slowest], np.pi * release_s)
@@ -203,7 +203,7 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
 
 
 def parameter_change(model: ModalModel, shift: FloatArray) -> FloatArray:
-    """Return the change (P,) of a model's parameters of first order for a shift of its coordinates (P,)."""
+    """Return the first-order change (P,) of parameters for a shift of coordinates (P,)."""
     scale, modes, reals = scale_of(model), len(model.frequency_hz), len(model.real_hz)
     here, poles = to_coordinates(model, scale), slice(0, 2 * modes + reals)
     step = _FIRST_ORDER / max(1.0, float(np.max(np.abs(shift[poles] / here[poles]))))

@@ -243,7 +243,7 @@ def fit_shapes(
 
 
 def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
-    """Return the supported fits; those of fewer modes if some only follow the drift of another with its amplitude."""
+    """Return the supported fits, without modes that only follow a drift with the amplitude."""
     found = search_order(search)
     while search.modes is None and (distinct := distinct_modes(found[0])) < found[0].problem.structure.modes:
         fewer = search_order(replace(search, modes=distinct))
@@ -258,7 +258,7 @@ def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
 
 
 def _stated_pole(record: StepRecord, reading: ReleaseReading) -> tuple[float, float] | None:
-    """Return the logarithm of the real pole of a stated chain in rad/s, with u; None if it is not stated."""
+    """Return ln of the stated real pole in rad/s with u, None without one."""
     if record.lag_s is None:
         return None
     least = _SHORTEST / (2.0 * np.pi * max((peak.frequency_hz for peak in reading.peaks), default=1.0))
@@ -267,7 +267,7 @@ def _stated_pole(record: StepRecord, reading: ReleaseReading) -> tuple[float, fl
 
 
 def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> list[StepFit]:
-    """Return a fit, of an exponential release with every attribution of its lags to chain and release."""
+    """Return a fit with every attribution of lags to chain and release."""
     solution = fit.solution
     if solution is None or fit.shape != "exponential":
         return [fit]
@@ -284,15 +284,15 @@ def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> li
 
 
 def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
-    """Return fits of one release, the likeliest first, with χ² above the first; those of another structure left out.
+    """Return fits of one release, the likeliest first, with χ² above the first.
 
-    An exponential release counts as the likeliest if its χ² is lower by more than 4.
+    Those of another structure are left out. An exponential release counts as the likeliest if its χ² is lower by more than 4.
     """
     doubtful = any(fit.attribution != "fast chain" for fit in fits)
     cost = [fit.excess + _PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
     ordered = [fits[index] for index in np.argsort(cost, kind="stable")]
-    alike = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
-    return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in alike)
+    comparable = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
+    return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in comparable)
 
 
 def _parameters(fit: StepFit) -> FloatArray:
@@ -301,7 +301,7 @@ def _parameters(fit: StepFit) -> FloatArray:
 
 
 def alternative_fits(fits: Sequence[StepFit]) -> list[tuple[StepFit, Alternative]]:
-    """Return the fits after the first that are not rejected, each with its distance from the first."""
+    """Return the fits that are not rejected with their distances from the first."""
     first, others = fits[0], [(fit, fit.model) for fit in fits[1:] if fit.model is not None]
     if first.model is None:
         return []
@@ -327,7 +327,7 @@ def merge_alternatives(fits: Sequence[StepFit]) -> StepFit:
 
 
 def shape_notices(fits: Sequence[StepFit], where: str) -> list[Notice]:
-    """Return notices of release shapes and of attributions of lags that a record does not determine."""
+    """Return notices of release shapes and lags that a record does not determine."""
     texts = {
         fit.shape: describe_difference(fits[0], fit)
         for fit in fits[1:]
@@ -339,7 +339,7 @@ def shape_notices(fits: Sequence[StepFit], where: str) -> list[Notice]:
 
 
 def lag_notice(fits: Sequence[StepFit], where: str) -> Notice | None:
-    """Return the notice of a lag that is the chain's or that of an exponential release, None if it is determined."""
+    """Return the notice of a lag that is not attributed, None without one."""
     possible = [fit for fit in fits if fit.excess < REJECT_CHI2 and fit.model is not None and len(fit.model.real_hz)]
     if not any(fit.shape == "exponential" and describe_difference(fits[0], fit) for fit in possible[1:]):
         return None

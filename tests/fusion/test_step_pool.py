@@ -118,7 +118,8 @@ def test_releases_by_one_device_determine_its_shape_together():
     undetermined = fit_common_shape([*determined, release("rope", 0.0, 6.0)])
     ((alternative, notice),) = alternative_shapes(undetermined, "Fz")
     assert alternative.distance == pytest.approx(np.sqrt(6.0))
-    assert all(model.vector == pytest.approx(smooth.model.vector, rel=1e-4) for model in alternative.models)
+    ends = np.array([model.vector[[0, 1, 3]] for model in alternative.models])  # a larger lag is moved by its square
+    np.testing.assert_allclose(ends, [smooth.model.vector[[0, 1, 3]]] * 4, rtol=1e-3)
     assert (notice.code, notice.where, notice.values["device"]) == (SHAPE_OF_DEVICE_UNDETERMINED.code, "Fz", "rope")
     assert undetermined[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > determined[0].fit.u_release_s
 

@@ -1,4 +1,4 @@
-"""Time courses of a load beyond ramp and half cosine, attribution of lags, decays that depend on their amplitude."""
+"""Further time courses of a load, attribution of lags, dependence on the amplitude."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def lag(fit: StepFit) -> tuple[float, float]:
 
 
 def test_a_lag_of_chain_or_release_is_in_the_uncertainty() -> None:
-    """A release that goes like exp(-t/τ) is a lag: U holds the true one and that of the exchange, with a warning."""
+    """An exponential release is a lag: U holds both attributions, with a warning."""
     fit = fit_step(record_of(output_of((CHAIN_S, 1e-4)), 2e-3), "Fz")
     found, expanded = lag(fit)
     assert LAG_NOT_ATTRIBUTED.code in {notice.code for notice in fit.notices}
@@ -108,7 +108,7 @@ def test_a_stated_chain_attributes_the_lag() -> None:
 
 
 def test_a_softening_spring_is_stated_and_in_the_uncertainty() -> None:
-    """Motion x'' + 2ζωx' + ω²(x - εx³) = 0, whose frequency is lower by 3ε/8·a² at the amplitude a."""
+    """A cubic spring: x - εx³ lowers the frequency by 3ε/8·a²."""
     omega, soft = 2 * np.pi * MODE_HZ, 0.004 * 8 / 3
 
     def motion(_: float, state: FloatArray) -> list[float]:

@@ -136,7 +136,7 @@ _FAR_BELOW = 10.0  # ratio of the frequencies between which the magnitude of a c
 
 
 def with_stated_lag(record: StepRecord, driven: int, entry: ChannelEntry) -> StepRecord:
-    """Return a record with the lag of the stated response of its driven output; unchanged without one.
+    """Return a record with the lag of its driven output's stated response.
 
     |H| = 1/√(1 + ω²τ²) at the frequency of the ringing relative to a tenth of it.
     """

@@ -277,7 +277,7 @@ def fit_release(
 
 
 def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
-    """Return releases with the models of the likeliest hypothesis, one shape and attribution of lags per device."""
+    """Return releases with the likeliest models, one hypothesis per device."""
     devices = defaultdict[str, list[dict[str, float]]](list)
     for release in releases:
         if release.shapes:
