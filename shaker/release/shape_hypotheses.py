@@ -31,8 +31,8 @@ _DISTURBED = 4.0  # significant excess of the residual about the release, in sta
 def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple[OutputErrorFit, ...]:
     """Return fits with those of an exponential release and of two stages.
 
-    Two stages are fitted if the record calls for them. `found`: the likeliest first. `by_rule`: whether the number of real poles is free; an exponential release may then
-    replace a second one.
+    Two stages are fitted if the record calls for them. `found`: the likeliest first. `by_rule`: whether the number of
+    real poles is free; an exponential release may then replace a second one.
     """
     likeliest, fits = found[0], [*found]
     reals = likeliest.problem.structure.reals

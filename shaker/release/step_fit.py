@@ -286,7 +286,8 @@ def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> li
 def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
     """Return fits of one release, the likeliest first, with χ² above the first.
 
-    Those of another structure are left out. An exponential release counts as the likeliest if its χ² is lower by more than 4.
+    Those of another structure are left out. An exponential release counts as the likeliest if its χ² is lower by more
+    than 4.
     """
     doubtful = any(fit.attribution != "fast chain" for fit in fits)
     cost = [fit.excess + _PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
