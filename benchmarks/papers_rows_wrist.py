@@ -18,7 +18,8 @@ from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_s
 from shaker.lti.indices import Indices, Mode, indices
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 from shaker.release.record import StepRecord
-from shaker.release.step_fit import fit_sim, fit_step
+from shaker.release.step_fit import fit_step
+from shaker.release.step_methods import fit_sim
 
 FloatArray = NDArray[np.float64]
 POINT_M = 1e-9

@@ -46,7 +46,8 @@ from shaker.lti.system import LinearSystem, ModalModel
 from shaker.model_notices import DURATION_AMBIGUOUS
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseShape, StepRecord
-from shaker.release.step_fit import METHODS, Method, fit_all_methods, fit_step
+from shaker.release.step_fit import Method, fit_step
+from shaker.release.step_methods import METHODS, fit_all_methods
 
 FloatArray = NDArray[np.float64]
 RATE_HZ, BEFORE_S, AFTER_S, AMPLITUDE_N = 100e3, 0.01, 0.03, 50.0

@@ -231,6 +231,23 @@ RELEASE_SHAPE_UNDETERMINED = DeclaredNotice(
     remedy="Measure the force, or use a shorter release.",
     link="steps.md",
 )
+LAG_NOT_ATTRIBUTED = DeclaredNotice(
+    "SC-860",
+    "warning",
+    "The record does not show whether the chain of the output lags by {low_us:.3g} or {high_us:.3g} µs.",
+    effect="The rest is a slower release. Bands, overshoot, rise time and phase depend on it; U includes both.",
+    remedy="State the response of the output's channel, measure the force, or add releases by a much faster device.",
+    link="steps.md",
+)
+AMPLITUDE_DEPENDENT = DeclaredNotice(
+    "SC-861",
+    "warning",
+    "The mode at {frequency_hz:.5g} Hz depends on its amplitude: towards the first swing of {amplitude:.3g} {unit}, its"
+    " frequency changes by {frequency_percent:+.2g} % and its damping ratio by {damping_percent:+.2g} %.",
+    effect="The model is linear. U of frequency and damping ratio covers swings up to the first, not larger ones.",
+    remedy="Use releases as large as the loads to be measured. Check the mounting for friction and loose joints.",
+    link="steps.md",
+)
 NO_CONTINUOUS_MODEL = DeclaredNotice(
     "SC-372",
     "warning",

@@ -85,7 +85,7 @@ def _step_options(parser: Parser) -> None:
     parser.value("--modes", whole(1, 20), "N", "oscillating modes of a model (default: by rule)")
     parser.value("--real-poles", whole(0, 20), "N", "real poles of a model (default: by rule)")
     text = "change of the load (default: auto, the force channel if one is named, else by rule)"
-    parser.choice("--release", ("auto", "step", "ramp", "smooth", "measured"), text)
+    parser.choice("--release", ("auto", "step", "ramp", "smooth", "exponential", "measured"), text)
     parser.results("folder step in the campaign or in the only recording, else next to rig.toml")
     parser.json()
 

@@ -4,13 +4,17 @@ The load changes from 0 to `amplitude` from the onset, within the length T: at o
 half a cosine ("smooth"), or as a force channel shows ("measured"). With τ from the onset and σ from the end of the
 release, a pole responds by (F·exp(pσ) - 1)/p after it. F = (exp(x) - 1)/x for a ramp and ½π²(1 + exp(x))/(x² + π²) for
 half a cosine, x = pT. The mean of the samples of a block multiplies exp(pσ) by a constant.
+
+An "exponential" load 1 - exp(qτ) is a step behind a lag, q = -2/T: its mean delay is T/2, as for the others.
+With the responses S to a step it is q(S_q - S_p)/(p - q). A load in "stages" is two ramps of equal length.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +25,14 @@ from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray,
 _SMALL = 1e-2  # |x| below which factors are computed from their series
 _SERIES = 64  # number of equally spaced times above which exponentials are products of two short series
 _EVEN = 1e-9  # deviation of equally spaced times, in intervals
+_CONFLUENT = (1e-4, 1e-6)  # distances of two poles, relative, below which slopes replace their quotient; the smallest
 _RESTS = 40  # number of blocks before the release
-MOMENTS: dict[ReleaseShape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
+MOMENTS: dict[ReleaseShape, float] = {
+    "step": 0.0,
+    "ramp": 1.0 / 12.0,
+    "smooth": 0.25 - 2.0 / np.pi**2,
+    "exponential": 0.25,
+}
 """Second moment of a release about its middle over its squared length; 1/a² of a lag adds to it."""
 BLOCKS_PER_PERIOD = 12  # blocks per period of the fastest mode: the mean of a block is 1 % lower, sinc(1/12)
 
@@ -116,17 +126,27 @@ class ReleaseLoad(Arrays):
     @property
     def lasting(self) -> bool:
         """Whether the release has an unknown duration."""
-        return self.shape in ("ramp", "smooth")
+        return self.shape in ("ramp", "smooth", "exponential", "stages")
+
+
+class Stages(NamedTuple):
+    """A release in two ramps: share of the first, length of each."""
+
+    share: float = 0.5
+    part_s: float = 0.0
 
 
 def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
     """Return the share (N,) of the load's change at `time_s` (N,).
 
-    With x = (t - onset)/T from 0 to 1: x for a "ramp", (1 - cos πx)/2 for a "smooth" release.
+    With x = (t - onset)/T from 0 to 1: x for a "ramp", (1 - cos πx)/2 for a "smooth" release. 1 - exp(-2x) for an
+    "exponential" one.
     """
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
         return np.asarray((tau > 0).astype(np.float64))
+    if shape == "exponential":
+        return np.asarray(-np.expm1(-2.0 * np.maximum(tau, 0.0) / release_s))
     x = np.clip(tau / release_s, 0.0, 1.0)
     return np.asarray(x if shape == "ramp" else 0.5 * (1.0 - np.cos(np.pi * x)))
 
@@ -136,6 +156,8 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
         return np.zeros(len(tau))
+    if shape == "exponential":
+        return np.asarray(np.where(tau > 0, np.exp(-2.0 * np.maximum(tau, 0.0) / release_s), 0.0) * 2.0 / release_s)
     during = (tau > 0) & (tau < release_s)
     rate = 1.0 if shape == "ramp" else 0.5 * np.pi * np.sin(np.pi * tau / release_s)
     return np.asarray(np.where(during, rate, 0.0) / release_s)
@@ -147,8 +169,8 @@ def pole_responses(
     """Return responses (N, P) of 1/(s - p) to a load from 0 to 1."""
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
-    if shape == "measured":
-        raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
+    if shape not in ("step", "ramp", "smooth"):
+        raise ValueError(f'shape: expected "step", "ramp" or "smooth", found "{shape}"')
     p, length = np.asarray(poles, dtype=np.complex128), 0.0 if shape == "step" else release_s
     return np.asarray(_at_times(shape, p, np.asarray(time_s, dtype=np.float64) - onset_s, length, 1)[0].T)
 
@@ -171,13 +193,15 @@ class BlockResponses(Arrays):
     """Responses (B, P) of 1/(s - p) in blocks, and their derivatives.
 
     The derivatives are by the onset, the length of the release and the poles. That by the length keeps the middle of
-    the release: the onset moves by half the change. For fixed poles `by_pole` is empty (B, 0).
+    the release: the onset moves by half the change. For fixed poles `by_pole` is empty (B, 0). `by_stage` (2, B, P): by
+    the share of the first stage and by the length of both, empty (0, B, P) for other shapes.
     """
 
     value: ComplexArray
     by_onset: ComplexArray
     by_length: ComplexArray
     by_pole: ComplexArray
+    by_stage: ComplexArray
 
 
 def responses_with_derivatives(
@@ -187,27 +211,67 @@ def responses_with_derivatives(
     middle_s: float,
     length_s: float,
     fixed_poles: bool = False,
+    stages: Stages | None = None,
 ) -> BlockResponses:
     """Return the responses of poles (P,) in rad/s to a load, with derivatives."""
     if load.shape == "measured":
         return _to_force(load, poles, samples)
-    value, *changes = _answered(load, poles, samples, (middle_s, length_s), 3 if fixed_poles else 4)
-    return BlockResponses(value, changes[0], changes[1], value[:, :0] if fixed_poles else changes[2])
+    rows, release = 3 if fixed_poles else 4, (middle_s, length_s)
+    if load.shape == "stages":
+        value, *changes = _staged(load, poles, samples, release, stages or Stages(), rows)
+    else:
+        value, *changes = _answered(load, poles, samples, release, rows)
+    by_stage = np.asarray(changes[rows - 1 :]) if load.shape == "stages" else np.zeros((0, *value.shape), complex)
+    return BlockResponses(value, changes[0], changes[1], value[:, :0] if fixed_poles else changes[2], by_stage)
 
 
 def responses(
-    load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, middle_s: float, length_s: float
+    load: ReleaseLoad,
+    poles: ComplexArray,
+    samples: BlockMeans,
+    middle_s: float,
+    length_s: float,
+    stages: Stages | None = None,
 ) -> ComplexArray:
     """Return the responses (B, P) only, in half the time."""
     if load.shape == "measured":
         return _to_force(load, poles, samples).value
+    if load.shape == "stages":
+        return np.asarray(_staged(load, poles, samples, (middle_s, length_s), stages or Stages(), 1)[0])
     return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
+
+
+def _staged(
+    load: ReleaseLoad,
+    poles: ComplexArray,
+    samples: BlockMeans,
+    release: tuple[float, float],
+    stages: Stages,
+    rows: int,
+) -> ComplexArray:
+    """Return rows of `BlockResponses` for two ramps, those by `stages` last.
+
+    The length of the release is that of one stage and the distance of their middles. At a fixed length of the stages,
+    a change of the whole moves them apart.
+    """
+    ramp, (middle, length), (share, part) = replace(load, shape="ramp"), release, stages
+    apart = 0.5 * (length - part)
+    if rows == 1:
+        first, last = (_answered(ramp, poles, samples, (middle + by, part), 1) for by in (-apart, apart))
+        return np.asarray(share * first + (1.0 - share) * last)
+    first, last = (_answered(ramp, poles, samples, (middle + by, part), rows) for by in (-apart, apart))
+    whole = share * first + (1.0 - share) * last
+    by_part = whole[2].copy()
+    whole[2] = 0.5 * ((1.0 - share) * last[1] - share * first[1])
+    return np.concatenate([whole, [first[0] - last[0], by_part - whole[2]]])
 
 
 def _answered(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
 ) -> ComplexArray:
     """Return the first R rows of `BlockResponses` (R, B, P), one, three or four."""
+    if load.shape == "exponential":
+        return _behind_lag(load, poles, samples, release, rows)
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
@@ -226,6 +290,33 @@ def _answered(
         whole[:, :, touched] = np.add.reduceat(single, ends - size, axis=2) / size
     whole *= load.amplitude
     return whole.transpose(0, 2, 1)
+
+
+def _behind_lag(
+    load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
+) -> ComplexArray:
+    """Return the first R rows of `BlockResponses` (R, B, P) for an exponential load.
+
+    A quotient of differences of close poles is replaced by the mean of the slopes at both.
+    """
+    middle, length = release
+    q = -2.0 / length
+    if np.any(np.abs(poles - q) < _CONFLUENT[1] * abs(q)):
+        q *= 1.0 + 2.0 * _CONFLUENT[1]
+    whole = _answered(replace(load, shape="step"), np.append(poles, q), samples, (middle - 0.5 * length, 0.0), 4)
+    ours, last = whole[:, :, :-1], whole[:, :, -1:]
+    apart = poles - q
+    near = np.abs(apart) < _CONFLUENT[0] * abs(q)
+    quotient = np.where(near, -0.5 * (ours[3] + last[3]), (last[0] - ours[0]) / apart)
+    out = np.zeros((rows, *quotient.shape), dtype=np.complex128)
+    out[0] = q * quotient
+    if rows > 1:
+        out[1] = q * (last[1] - ours[1]) / apart
+        by_lag = quotient + q * (last[3] + quotient) / apart
+        out[2] = by_lag * q / -length - 0.5 * out[1]
+    if rows > 3:
+        out[3] = -q * (ours[3] + quotient) / apart
+    return out
 
 
 def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -349,7 +440,7 @@ def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> Bl
     else:
         value, slope = value[first], slope[first]
     blank = np.zeros_like(value)
-    return BlockResponses(value, blank, blank, slope)
+    return BlockResponses(value, blank, blank, slope, np.zeros((0, *value.shape), complex))
 
 
 def _linear_weights(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:

@@ -196,7 +196,8 @@ _ROUNDING = 1e-9  # share of the output below which a residual is rounding
 class OrderSearch:
     """Data and limits of the order search.
 
-    `whole`: all samples. `modes` and `reals`: given numbers, else None. `colour` as in `OutputErrorProblem`.
+    `whole`: all samples. `modes` and `reals`: given numbers, else None. `colour`, `chain` as in
+    `OutputErrorProblem`.
     """
 
     whole: BlockMeans
@@ -206,6 +207,7 @@ class OrderSearch:
     modes: int | None
     reals: int | None
     colour: float = 1.0
+    chain: tuple[float, float] | None = None
 
 
 def search_order(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
@@ -250,7 +252,7 @@ def penalised_chi_squared(fit: OutputErrorFit) -> float:
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
-    return chi_square + TERM * structure.terms + CLEAR * structure.order
+    return chi_square + fit.problem.pull(fit.vector) + TERM * structure.terms + CLEAR * structure.order
 
 
 def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals: int) -> OutputErrorFit:
@@ -262,7 +264,9 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
     end = reading.onset_s + reading.release_s + 2.0 * margin
     samples = reduce_to_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
     starts = start_vectors(structure, load, samples, modes, reading)
-    problem = OutputErrorProblem(structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour)
+    problem = OutputErrorProblem(
+        structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour, search.chain
+    )
     return add_numerator_terms(solve(*with_loose_prior(problem, starts[0], highest)), starts, highest)
 
 

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.lti.system import ModalModel, modal_poles
-from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
+from shaker.release.load_response import (
+    MOMENTS,
+    BlockMeans,
+    BlockResponses,
+    ReleaseLoad,
+    Stages,
+    responses,
+    responses_with_derivatives,
+)
 from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import (
@@ -109,10 +117,11 @@ class OutputErrorProblem(Arrays):
     """A least-squares problem: the response of a structure to a load, and samples.
 
     Parameters: those of the structure, then the middle of the release in s (a timed load) and the logarithm of its
-    length in s (a lasting one). `prior`, `u_prior` (K,): prior values and standard deviations, wide, infinite for the
-    modes. With them a record that does not determine real poles or the release can be fitted. `onset_s`: of a load
-    without a timed release. `colour`: density of the blocks' noise over that of white noise with the samples' variance,
-    1 for white noise.
+    length in s (a lasting one). For a release in stages the length is the distance of their middles; the share of the
+    first and the logarithm of the length of each follow. `prior`, `u_prior` (K,): prior values and standard deviations,
+    wide, infinite for the modes. With them a record that does not determine real poles or the release can be fitted.
+    `onset_s`: of a load without a timed release. `colour`: density of the blocks' noise over that of white noise with
+    the samples' variance, 1 for white noise. `chain`: stated logarithm of the first real pole in rad/s, and its u.
     """
 
     structure: PoleStructure
@@ -122,12 +131,27 @@ class OutputErrorProblem(Arrays):
     u_prior: FloatArray
     onset_s: float = 0.0
     colour: float = 1.0
+    chain: tuple[float, float] | None = None
+
+    def pull(self, vector: FloatArray) -> float:
+        """Return the squared deviation from the stated real pole in its u, 0 without one."""
+        if self.chain is None or not self.structure.reals:
+            return 0.0
+        return float((vector[2 * self.structure.modes] - self.chain[0]) / self.chain[1]) ** 2
 
     def release(self, vector: FloatArray) -> tuple[float, float]:
         """Return the middle and the length of the release in s."""
         order = self.structure.order
         middle = float(vector[order]) if self.load.timed else self.onset_s
-        return middle, float(np.exp(vector[order + 1])) if self.load.lasting else 0.0
+        length = float(np.exp(vector[order + 1])) if self.load.lasting else 0.0
+        stages = self.stages(vector)
+        return middle, length if stages is None else length + stages.part_s
+
+    def stages(self, vector: FloatArray) -> Stages | None:
+        """Return the stages of the release, None for other shapes."""
+        if self.load.shape != "stages":
+            return None
+        return Stages(float(vector[-2]), float(np.exp(vector[-1])))
 
 
 @dataclass(frozen=True, repr=False)
@@ -157,15 +181,15 @@ class OutputErrorFit(Arrays):
 
 def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> tuple[FloatArray, BlockResponses]:
     """Return the unweighted design (B, 1 + terms) and the responses of the poles."""
-    answered = responses_with_derivatives(
-        problem.load, problem.structure.poles(vector), samples, *problem.release(vector)
-    )
+    poles, stages = problem.structure.poles(vector), problem.stages(vector)
+    answered = responses_with_derivatives(problem.load, poles, samples, *problem.release(vector), stages=stages)
     return _design(problem, vector, answered.value), answered
 
 
 def design(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> FloatArray:
     """Return the design of `columns` only."""
-    value = responses(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
+    poles, stages = problem.structure.poles(vector), problem.stages(vector)
+    value = responses(problem.load, poles, samples, *problem.release(vector), stages=stages)
     return _design(problem, vector, value)
 
 
@@ -186,7 +210,11 @@ def slopes(problem: OutputErrorProblem, vector: FloatArray, linear: FloatArray, 
     if problem.load.timed:
         out.append(np.real(answered.by_onset @ residues)[:, None])
     if problem.load.lasting:
-        out.append(np.exp(vector[-1]) * np.real(answered.by_length @ residues)[:, None])
+        by_length = np.real(answered.by_length @ residues)[:, None]
+        out.append(np.exp(vector[structure.order + problem.load.timed]) * by_length)
+    if len(answered.by_stage):
+        by_share, by_part = np.real(answered.by_stage @ residues)[:, :, None]
+        out += [by_share, np.exp(vector[-1]) * (by_part + by_length)]
     return np.concatenate(out, axis=1)
 
 
@@ -198,7 +226,8 @@ def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
     structure, samples = problem.structure, problem.samples
     poles = structure.poles(vectors)
     with np.errstate(over="ignore", invalid="ignore"):
-        value = responses(problem.load, poles.ravel(), samples, *problem.release(vectors[0])).T
+        release = *problem.release(vectors[0]), problem.stages(vectors[0])
+        value = responses(problem.load, poles.ravel(), samples, *release).T
         residues = (_twice(structure)[:, None] * structure.shares(vectors)).swapaxes(1, 2)
         parts = np.real(residues @ value.reshape(*poles.shape, -1))
     rows = np.ones((len(vectors), structure.terms + 2, len(samples.value)))
@@ -210,17 +239,25 @@ def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
     return np.where(finite[:, None], left, np.inf)
 
 
-def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
-    """Return the fit from a start vector (K,), baseline and numerator projected out."""
+def solve(
+    problem: OutputErrorProblem, start: FloatArray, enough: float = _ENOUGH, hopeless: float = np.inf
+) -> OutputErrorFit:
+    """Return the fit from a start vector (K,), baseline and numerator projected out.
+
+    It ends when a step is predicted to lower χ² by less than `enough`, or when a sum of squares below `hopeless` is
+    not in sight.
+    """
     weight = problem.samples.weight[:, None]
     data = problem.samples.value[:, None] * weight
     modes, order = problem.structure.modes, problem.structure.order
-    longest = np.log(problem.samples.time_s[-1] - problem.samples.time_s[0])
+    lengths, longest = slice(order + 1, None, 2), np.log(problem.samples.time_s[-1] - problem.samples.time_s[0])
 
     def at(vector: FloatArray) -> SeparablePoint | None:
         """Return the best baseline and numerator for given poles and release, None if impossible."""
         steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
-        if steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest):
+        if steep or np.any(np.abs(vector[:order]) > 50.0) or np.any(vector[lengths] > longest):
+            return None
+        if problem.load.shape == "stages" and not 0.0 < vector[-2] < 1.0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             matrix, answered = columns(problem, vector, problem.samples)
@@ -232,13 +269,22 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
 
         return SeparablePoint(vector, (LinearBlock(weighted, data, changes),))
 
+    prior, u_prior = problem.prior, problem.u_prior
+    if problem.chain is not None and problem.structure.reals:
+        prior, u_prior, start = prior.copy(), u_prior.copy(), start.copy()
+        prior[2 * modes], u_prior[2 * modes] = problem.chain
+        start[2 * modes] = problem.chain[0]
     first = at(start)
     if first is None:
         raise ValueError(f"start: expected modes that oscillate and a release in the record, found {start.tolist()}")
     rules = LMOptions(
-        predicted_decrease_share=_ENOUGH / first.freedom, max_steps=_STEPS, damping_decrease=0.03, min_damping=1e-8
+        predicted_decrease_share=enough / first.freedom,
+        tolerance=hopeless,
+        max_steps=_STEPS,
+        damping_decrease=0.03,
+        min_damping=1e-8,
     )
-    end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(problem.prior, problem.u_prior))
+    end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(prior, u_prior))
     return OutputErrorFit(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
 
 
@@ -327,8 +373,8 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
         order, rows = problem.structure.order, np.zeros((2, len(covariance)))
         rows[0, order] = 1.0
         if problem.load.lasting:
-            length = problem.release(solution.vector)[1]
-            rows[:, order + 1] = -0.5 * length, length
+            lengths = slice(order + 1, len(solution.vector), 2)
+            rows[:, lengths] = np.array([[-0.5], [1.0]]) * np.exp(solution.vector[lengths])
         u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
     slope = _model_slopes(problem.structure, solution.vector, solution.linear)
     return FitCovariance(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
@@ -358,10 +404,14 @@ def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArra
     added, squares = np.zeros(len(scale)), np.zeros(len(scale))
     if problem.load.timed:
         added[structure.order] = 1.0 / (problem.u_prior[structure.order] * scale[structure.order]) ** 2
+    if problem.chain is not None and structure.reals:
+        place = 2 * structure.modes
+        added[place] = 1.0 / (problem.chain[1] * scale[place]) ** 2
     real = slice(2 * structure.modes, structure.order)
     squares[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
     if problem.load.lasting:
-        squares[structure.order + problem.load.timed] = problem.release(solution.vector)[1] ** 2 / 6.0
+        moment = MOMENTS.get(problem.load.shape, MOMENTS["ramp"])
+        squares[len(solution.vector) - 1] = 2.0 * moment * np.exp(2.0 * solution.vector[-1])
     squares = squares / scale
     parts = np.flatnonzero(squares)
     if len(parts) > 1:

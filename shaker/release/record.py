@@ -33,6 +33,7 @@ class StepRecord:
     force : (N,) measured load, N or N·m, default None
     onset_s : stated start of the release, s, default None
     release : release device, such as "fishing line", default ""
+    lag_s, u_lag_s : stated lag of the outputs' chain with standard uncertainty, s, default None: not stated
 
     Examples
     --------
@@ -54,6 +55,8 @@ class StepRecord:
     force: FloatArray | None = None
     onset_s: float | None = None
     release: str = ""
+    lag_s: float | None = None
+    u_lag_s: float = 0.0
 
     def __post_init__(self) -> None:
         check_shape("samples", self.samples, (len(self.channels), None))
@@ -63,6 +66,8 @@ class StepRecord:
             raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
         if self.amplitude == 0 or not np.isfinite(self.amplitude):
             raise ValueError(f"amplitude: expected a number other than 0, found {self.amplitude}")
+        if self.lag_s is not None and not (self.lag_s >= 0.0 and self.u_lag_s >= 0.0):
+            raise ValueError(f"lag_s: expected 0 or more, found {self.lag_s}")
 
     def __repr__(self) -> str:
         channels = ", ".join(f"{name} [{self.unit}]" for name in self.channels)
@@ -77,8 +82,8 @@ class StepRecord:
 
 # Reading of a record before a model is identified.
 
-ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
-"""Time course of a load: at once, linear, along half a cosine, or as the force channel shows."""
+ReleaseShape = Literal["step", "ramp", "smooth", "exponential", "stages", "measured"]
+"""Time course of a load: at once, linear, along half a cosine, like a lag, in two ramps, or as the force shows."""
 
 
 @dataclass(frozen=True)

@@ -1,46 +1,53 @@
-"""Models of a step response by every method: output error, simultaneous identification (SIM), evolution."""
+"""Model of a step response by output error, for every time course of the load."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from shaker.lti.indices import pole_notices
-from shaker.lti.system import Conversion, LinearSystem, ModalModel
-from shaker.model_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
-from shaker.release.load_response import ReleaseLoad, every_sample, reduce_to_blocks
+from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import (
+    LAG_NOT_ATTRIBUTED,
+    RELEASE_SHAPE_UNDETERMINED,
+)
+from shaker.release.amplitude_dependence import amplitude_dependence, distinct_modes
+from shaker.release.load_response import ReleaseLoad, every_sample
 from shaker.release.model_order import (
     OrderSearch,
-    add_numerator_terms,
-    fit_all_orders,
     fit_notices,
     penalised_chi_squared,
     search_order,
-    with_loose_prior,
 )
 from shaker.release.output_error import (
     OutputErrorFit,
-    OutputErrorProblem,
-    PoleStructure,
     fit_covariance,
     modal_model,
-    solve,
-    squares,
 )
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.shape_hypotheses import (
+    HOPELESS,
+    Alternative,
+    alternatives,
+    exchange_lags,
+    release_is_slower,
+    shape_chi_squared,
+    with_both_lags,
+    with_further_shapes,
+)
 from shakercal._common.arrays import Arrays, FloatArray
-from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
-from shakercal._common.kernels import njit
+from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.notices import Notice
 
 # Result of an identification from a step response, for all methods.
 
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
+Attribution = Literal["fast chain", "slow chain", "both in the chain"]
+"""Which lag of an exponential release is that of the chain; both leave the same record."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +59,8 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     `fitted`, `residual` (N,) over `time_s` (N,) in output units. `onset_s`, `u_onset_s`, `release_s`, `u_release_s`:
     start and length of the release, whose time course is `shape`. `variance_accounted`: 1 - |residual|²/|y - mean|².
     `convergence`: loss over iterations, generations or the order 1, 2, …. `order`: number of poles. `duration_s`:
-    computing time. `excess`: χ² above that of the likeliest shape.
+    computing time. `excess`: χ² above that of the likeliest shape. `attribution`: of the two lags of an exponential
+    release. `solution`: of output-error least squares.
     """
 
     method: Method
@@ -76,7 +84,15 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     u_release_s: float
     shape: ReleaseShape = "step"
     excess: float = 0.0
+    attribution: Attribution = "fast chain"
     notices: tuple[Notice, ...] = ()
+    solution: OutputErrorFit | None = None
+
+    @property
+    def hypothesis(self) -> str:
+        """Shape of the release, of an exponential one with the attribution of the lags."""
+        other = self.shape == "exponential" and self.attribution != "fast chain"
+        return f"{self.shape}, {self.attribution}" if other else self.shape
 
 
 # A solution as a result.
@@ -90,6 +106,10 @@ def as_step_fit(
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     covariance = fit_covariance(solution, whole)
     model = modal_model(solution, covariance.covariance, record.u_amplitude)
+    notices = fit_notices(record, reading, solution, model, covariance)
+    if (dependence := amplitude_dependence(solution)) is not None:
+        model = dependence.widen(model)
+        notices = (*notices, dependence.notice(model, record.unit, f"{record.name}, {reading.channel}"))
     middle, length = solution.problem.release(solution.vector)
     timed = solution.problem.load.timed
     decimation = int(solution.problem.samples.length[-1])
@@ -114,14 +134,26 @@ def as_step_fit(
         release_s=length,
         u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
-        notices=fit_notices(record, reading, solution, model, covariance),
+        notices=notices,
+        solution=solution,
     )
 
 
 # Model of a sensor from the record of one release.
 
-SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
-ReleaseOption = Literal["step", "ramp", "smooth", "measured"]
+SHAPES = {
+    "step": "a step",
+    "ramp": "a ramp",
+    "smooth": "half a cosine",
+    "exponential": "an exponential",
+    "stages": "two stages",
+    "measured": "the measured force",
+}
+ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
+_EXPLAINED = 0.8  # share of what further modes explain that a drift with the amplitude must explain to replace them
+_SHORTEST = 0.02  # lag of a stated chain, in radians of the highest peak, below which it has no effect
+_EXACT = 1e-3  # least relative standard uncertainty of a stated lag
+_PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
 
 
 def fit_step(
@@ -149,8 +181,8 @@ def fit_step(
     method
         start values from a matrix "pencil" (default) or an "arx" model
     release
-        "step", "ramp", "smooth" or "measured"; default None: the measured force, else the likelier of ramp and half
-        cosine
+        "step", "ramp", "smooth", "exponential" or "measured"; default None: the measured force, else the likeliest of
+        ramp, half cosine, exponential, and two stages
 
     Returns
     -------
@@ -159,7 +191,9 @@ def fit_step(
     Notes
     -----
     The covariance contains the noise of the record, coloured or white, the baseline, the release and the amplitude of
-    the load. It also contains the effect of the other shape of the release if the record does not reject it.
+    the load. It also contains the effect of other shapes of the release that the record does not reject. A lag may be
+    that of an exponential release or of the chain, which one record does not show. Without a stated lag of the chain
+    (`StepRecord.lag_s`) the covariance contains both.
 
     Examples
     --------
@@ -176,13 +210,7 @@ def fit_step(
     reading = reading or read_release(record, channel)
     fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
     fit = merge_alternatives(fits)
-    where = f"{record.name}, {channel}"
-    shapes = [
-        Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text)
-        for other in fits[1:]
-        if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
-    ]
-    return replace(fit, notices=(*fit.notices, *shapes))
+    return replace(fit, notices=(*fit.notices, *shape_notices(fits, f"{record.name}, {channel}")))
 
 
 def fit_shapes(
@@ -197,33 +225,127 @@ def fit_shapes(
     """Return the result of `fit_step` for each possible shape, the likeliest first."""
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
-    found = search_order(
-        OrderSearch(whole, reading, candidate_loads(record, reading, release), method, modes, real_poles)
+    loads = candidate_loads(record, reading, release)
+    search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))
+    found = _without_drift(search)
+    if loads[0].lasting and release in (None, "exponential"):
+        found = with_further_shapes(found, real_poles is None)
+        found = tuple(one for one in found if release in (None, one.problem.load.shape))
+    least = shape_chi_squared(found[0])
+    fits = list[StepFit]()
+    for one in found:
+        excess = shape_chi_squared(one) - least
+        if excess < HOPELESS or one.problem.load in loads:
+            fits += _attributed(
+                replace(as_step_fit(record, reading, one, method, began), excess=excess), record, reading
+            )
+    return order_hypotheses(fits)
+
+
+def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
+    """Return the supported fits, without modes that only follow a drift with the amplitude."""
+    found = search_order(search)
+    while search.modes is None and (distinct := distinct_modes(found[0])) < found[0].problem.structure.modes:
+        fewer = search_order(replace(search, modes=distinct))
+        dependence = amplitude_dependence(fewer[0])
+        explained = 0.0 if dependence is None else (1.0 - dependence.square_share) * fewer[0].square
+        if explained > _EXPLAINED * (fewer[0].square - found[0].square):
+            return fewer
+        if penalised_chi_squared(fewer[0]) >= penalised_chi_squared(found[0]):
+            break
+        found = fewer
+    return found
+
+
+def _stated_pole(record: StepRecord, reading: ReleaseReading) -> tuple[float, float] | None:
+    """Return ln of the stated real pole in rad/s with u, None without one."""
+    if record.lag_s is None:
+        return None
+    least = _SHORTEST / (2.0 * np.pi * max((peak.frequency_hz for peak in reading.peaks), default=1.0))
+    lag = max(record.lag_s, least)
+    return -float(np.log(lag)), float(np.hypot(max(record.u_lag_s, _EXACT * lag), lag - record.lag_s)) / lag
+
+
+def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> list[StepFit]:
+    """Return a fit with every attribution of lags to chain and release."""
+    solution = fit.solution
+    if solution is None or fit.shape != "exponential":
+        return [fit]
+    if not solution.problem.structure.reals or solution.problem.chain is not None:
+        return [fit]
+    other = replace(as_step_fit(record, reading, exchange_lags(solution), fit.method, 0.0), duration_s=fit.duration_s)
+    fast, slow = (fit, other) if release_is_slower(solution) else (other, fit)
+    fast, slow = replace(fast, excess=fit.excess), replace(slow, excess=fit.excess, attribution="slow chain")
+    assert slow.model is not None
+    both = replace(
+        slow, model=with_both_lags(slow.model, slow.release_s), attribution="both in the chain", solution=None
     )
-    fits = [as_step_fit(record, reading, one, method, began) for one in found]
-    least, *_ = costs = [penalised_chi_squared(one) for one in found]
-    return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
+    return [fast, slow, both]
 
 
-def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
-    """Return the first fit, its uncertainty including fits that are not rejected.
+def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
+    """Return fits of one release, the likeliest first, with χ² above the first.
 
-    `excess`: χ² of the other fit above the first, default None: that of the record itself.
+    Those of another structure are left out. An exponential release counts as the likeliest if its χ² is lower by more
+    than 4.
     """
+    doubtful = any(fit.attribution != "fast chain" for fit in fits)
+    cost = [fit.excess + _PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
+    ordered = [fits[index] for index in np.argsort(cost, kind="stable")]
+    comparable = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
+    return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in comparable)
+
+
+def _parameters(fit: StepFit) -> FloatArray:
+    """Return the parameters of a model, none without a modal form."""
+    return np.zeros(0) if fit.model is None else fit.model.vector
+
+
+def alternative_fits(fits: Sequence[StepFit]) -> list[tuple[StepFit, Alternative]]:
+    """Return the fits that are not rejected with their distances from the first."""
+    first, others = fits[0], [(fit, fit.model) for fit in fits[1:] if fit.model is not None]
+    if first.model is None:
+        return []
+    lags = any(fit.shape == "exponential" and fit.excess < REJECT_CHI2 for fit in fits)
+    found = alternatives(first.model, [(model, fit.excess) for fit, model in others], lags)
+    return [(others[one.number][0], one) for one in found]
+
+
+def merge_alternatives(fits: Sequence[StepFit]) -> StepFit:
+    """Return the first fit, its uncertainty including fits that are not rejected."""
     first = fits[0]
-    for other in fits[1:]:
-        more = other.excess if excess is None else excess
-        if more >= REJECT_CHI2 or first.model is None or other.model is None or first.model.covariance is None:
-            continue
-        far = excess_chi2_sigmas(more)
-        shift = (other.model.vector - first.model.vector) / far
+    for other, end in alternative_fits(fits):
+        assert first.model is not None
+        assert first.model.covariance is not None
+        covariance = first.model.covariance + np.outer(end.change, end.change) / end.distance**2
         first = replace(
             first,
-            model=replace(first.model, covariance=first.model.covariance + np.outer(shift, shift)),
-            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
-            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
+            model=replace(first.model, covariance=covariance),
+            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / end.distance)),
+            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / end.distance)),
         )
     return first
+
+
+def shape_notices(fits: Sequence[StepFit], where: str) -> list[Notice]:
+    """Return notices of release shapes and lags that a record does not determine."""
+    texts = {
+        fit.shape: describe_difference(fits[0], fit)
+        for fit in fits[1:]
+        if fit.excess < REJECT_CHI2 and fit.shape not in (fits[0].shape, "exponential")
+    }
+    notices = [Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text) for text in texts.values() if text]
+    lag = lag_notice(fits, where)
+    return notices if lag is None else [*notices, lag]
+
+
+def lag_notice(fits: Sequence[StepFit], where: str) -> Notice | None:
+    """Return the notice of a lag that is not attributed, None without one."""
+    possible = [fit for fit in fits if fit.excess < REJECT_CHI2 and fit.model is not None and len(fit.model.real_hz)]
+    if not any(fit.shape == "exponential" and describe_difference(fits[0], fit) for fit in possible[1:]):
+        return None
+    lags = [float(np.max(1e6 / (2.0 * np.pi * fit.model.real_hz))) for fit in possible if fit.model is not None]
+    return Notice(LAG_NOT_ATTRIBUTED, where, low_us=min(lags), high_us=max(lags))
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
@@ -251,279 +373,6 @@ def candidate_loads(
         rest = record.time_s < reading.onset_s - 3.0 * reading.u_onset_s
         level = float(np.mean(record.force[rest])) if np.any(rest) else float(record.force[0])
         return (ReleaseLoad("measured", record.amplitude, record.force - level, record.start_s),)
-    if release is not None:
+    if release not in (None, "exponential"):
         return (ReleaseLoad(release, record.amplitude),)
     return tuple(ReleaseLoad(shape, record.amplitude) for shape in ("ramp", "smooth"))
-
-
-# Simultaneous identification of order and parameters, as published.
-
-
-def fit_sim(
-    record: StepRecord,
-    channel: str,
-    *,
-    reading: ReleaseReading | None = None,
-    order: int | None = None,
-    conversion: Conversion = "tustin",
-) -> StepFit:
-    """Fit order and parameters of a difference equation simultaneously; return it as a continuous model.
-
-    `order`: number of poles, by the bend of the loss over order 1 … 9 if None. `conversion` to continuous time:
-    "tustin" as in the published model of 100 kHz samples, or "zoh", exact for a load that is constant between samples.
-    `system.sampled(sample_rate_hz, conversion)` is the difference equation. The result has no covariance. Output noise
-    biases the least squares of the equation error, increasingly with the sampling rate: at 100 kHz and 40 dB the
-    damping of a mode of ζ = 0.015 is several times too large.
-    """
-    began = time.perf_counter()
-    reading = reading or read_release(record, channel)
-    signals = load_and_output(record, reading)
-    orders = fit_all_orders(*signals, record.sample_rate_hz)
-    direct = conversion == "tustin"
-    chosen = order or orders.bend(direct)
-    fit = difference_fit(record, reading, orders.system(chosen, direct), conversion, signals, orders.loss(direct))
-    return replace(fit, method="sim" if direct else "sim_zoh", order=chosen, duration_s=time.perf_counter() - began)
-
-
-def difference_fit(
-    record: StepRecord,
-    reading: ReleaseReading,
-    sampled: LinearSystem,
-    conversion: Conversion,
-    signals: tuple[FloatArray, FloatArray],
-    convergence: FloatArray,
-) -> StepFit:
-    """Return the fit of a difference equation to the signals of `load_and_output`."""
-    from scipy.signal import sosfilt
-
-    (load, output), where = signals, f"{record.name}, {reading.channel}"
-    system, notices = sampled, tuple[Notice, ...]()
-    try:
-        system = sampled.continuous(conversion)
-    except ValueError as error:
-        notices = (Notice(NO_CONTINUOUS_MODEL, where, reason=str(error)),)
-    notices += pole_notices(system, record.sample_rate_hz)
-    with np.errstate(over="ignore", invalid="ignore"):
-        fitted = np.asarray(sosfilt(sampled.sections(), load))
-    if not np.all(np.isfinite(fitted)):
-        notices += (Notice(OUTPUT_DIVERGES, where),)
-        fitted = np.full_like(output, output.mean())
-    with np.errstate(over="ignore"):
-        accounted = 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))
-    return StepFit(
-        method="evolution_coefficients",
-        channel=reading.channel,
-        component=record.component,
-        unit=record.unit,
-        model=modal_form(system),
-        system=system,
-        time_s=record.time_s,
-        fitted=fitted + reading.baseline,
-        residual=output - fitted,
-        sample_rate_hz=record.sample_rate_hz,
-        decimation=1,
-        order=len(sampled.poles),
-        variance_accounted=accounted,
-        convergence=convergence,
-        duration_s=0.0,
-        onset_s=reading.onset_s,
-        u_onset_s=reading.u_onset_s,
-        release_s=0.0,
-        u_release_s=0.0,
-        notices=notices,
-    )
-
-
-def load_and_output(record: StepRecord, reading: ReleaseReading) -> tuple[FloatArray, FloatArray]:
-    """Return load (N,), a step unless measured, and output (N,) above its baseline."""
-    value = record.samples[record.channels.index(reading.channel)] - reading.baseline
-    load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
-    if record.force is not None:
-        load = load - np.mean(load[record.time_s < reading.onset_s])
-    return np.asarray(load), value
-
-
-def modal_form(system: LinearSystem) -> ModalModel | None:
-    """Return a continuous system as a sum of modes, None if impossible."""
-    if system.sample_rate_hz is not None or len(system.zeros) == len(system.poles):
-        return None
-    gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
-    if np.min(gaps, initial=np.inf) < 1e-6 * np.max(np.abs(system.poles)) or np.any(system.poles == 0):
-        return None
-    residues = system.residues()
-    upper, real = system.poles.imag > 0, system.poles.imag == 0
-    omega = np.abs(system.poles[upper])
-    return ModalModel(
-        omega / (2 * np.pi),
-        -system.poles[upper].real / omega,
-        residues[upper],
-        -system.poles[real].real / (2 * np.pi),
-        residues[real].real,
-    )
-
-
-# Differential evolution (rand/1/bin; Storn and Price, J. Global Optim. 11 (1997) 341): with the published settings, and
-# on modal parameters.
-
-MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
-HUGE = 1e100  # loss above which a model has grown without bound
-
-Losses = Callable[[FloatArray, FloatArray], FloatArray]
-"""Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
-POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
-_ORDER = 3  # poles of a fit: a mode and a real pole
-_FEWER = (30, 40)  # members and generations for three bounded parameters
-_DAMPING = (1e-4, 0.5)
-_BLOCKS = 1000  # blocks of the record in the evolution
-
-
-def evolve(
-    losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
-) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector (N,) and losses of `effort` = (members, generations)."""
-    from scipy.optimize import differential_evolution
-
-    low, high = np.array(bounds).T
-    first = low + (high - low) * rng.random((effort[0], len(bounds)))
-    path, parents = list[float](), np.full(effort[0], np.inf)
-
-    def keep(intermediate_result: Any) -> None:
-        path.append(float(intermediate_result.fun))
-        parents[:] = intermediate_result.population_energies
-
-    end = differential_evolution(
-        lambda members: losses(np.ascontiguousarray(members.T), parents),
-        bounds,
-        strategy="rand1bin",
-        maxiter=effort[1],
-        init=first,
-        tol=0.0,
-        mutation=MUTATION,
-        recombination=CROSSOVER,
-        rng=rng,
-        callback=keep,
-        polish=False,
-        updating="deferred",
-        vectorized=True,
-    )
-    return np.asarray(end.x), tuple(path)
-
-
-def fit_evolution(
-    record: StepRecord,
-    channel: str,
-    *,
-    rng: np.random.Generator,
-    reading: ReleaseReading | None = None,
-    parametrisation: Literal["coefficients", "modes"] = "modes",
-) -> StepFit:
-    """Fit a model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
-
-    "coefficients": as published, [b_n, a_n, …, b_1, a_1] of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ) within ±5, population 100, 500
-    generations. The loss is the squared output error; `convergence` is that of the best member over the generations.
-    "modes": fn, ζ and a real pole, the numerator by linear least squares. The default
-    method then continues from the best member and gives the covariance.
-    """
-    began = time.perf_counter()
-    reading = reading or read_release(record, channel)
-    if parametrisation == "coefficients":
-        return _published(record, reading, rng, began)
-    value = record.samples[record.channels.index(channel)]
-    whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
-    margin, onset_s = reading.rise_s + reading.release_s, reading.onset_s
-    samples = reduce_to_blocks(whole, onset_s - margin, onset_s + 2.0 * margin, max(1, len(value) // _BLOCKS))
-    structure, blank = PoleStructure(1, 1, _ORDER, 1.0 / reading.rise_s), np.zeros(_ORDER + 1)
-    problem = OutputErrorProblem(structure, ReleaseLoad("step", record.amplitude), samples, blank, blank, onset_s)
-    span_s, block_s = samples.time_s[-1] - samples.time_s[0], samples.step_s * samples.length.max()
-    slow, fast, edge = np.log(2 * np.pi * np.array([2.0 / span_s, 0.1 / block_s, 0.4 / samples.step_s])).tolist()
-    # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
-    bounds = [(slow, fast), _DAMPING, (slow, edge)]
-
-    def losses(members: FloatArray, _: FloatArray) -> FloatArray:
-        vectors = np.insert(members, _ORDER, onset_s, axis=1)  # groups that fit the cache of the processor
-        return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
-
-    best, path = evolve(losses, bounds, rng, _FEWER)
-    hz = float(np.exp(best[0])) / (2 * np.pi)
-    start = np.append(best, onset_s)
-    plain = replace(problem, structure=replace(structure, terms=1, scale=2 * np.pi * hz))
-    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * _ORDER, hz)
-    return as_step_fit(record, reading, replace(solution, path=path), "evolution", began)
-
-
-def _published(record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, began: float) -> StepFit:
-    """Return the model by the published method, in coefficients of the difference equation."""
-    signals = load_and_output(record, reading)
-    begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
-    load, output = signals[0][begin:], signals[1][begin:]
-    before = float(np.sum(signals[1][:begin] ** 2))
-    bounds = [(-BOUND, BOUND)] * (2 * _ORDER)
-    best, path = evolve(
-        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
-    )
-    top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
-    sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
-    fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
-    return replace(fit, duration_s=time.perf_counter() - began)
-
-
-@njit()
-def output_errors(
-    members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
-) -> FloatArray:
-    """Return the squared output errors (P,) of difference equations, infinite above a limit.
-
-    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). A simulation stops at its limit
-    `most` (P,), at most 1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,).
-    """
-    count, order = members.shape[0], members.shape[1] // 2
-    found = np.full(count, np.inf)
-    state = np.empty(order + 1)
-    for p in range(count):
-        state[:] = 0.0
-        square, limit = before, min(most[p], HUGE)
-        for k in range(len(load)):
-            x, y = load[k], state[0]
-            for i in range(order):
-                column = 2 * (order - 1 - i)
-                state[i] = state[i + 1] + x * members[p, column] - y * members[p, column + 1]
-            square += (output[k] - y) ** 2
-            if not square <= limit:
-                break
-        if square <= limit:
-            found[p] = square
-    return found
-
-
-# Every method on the same record.
-
-METHODS: tuple[Method, ...] = ("pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients")
-
-
-def fit_all_methods(
-    record: StepRecord,
-    channel: str,
-    *,
-    rng: np.random.Generator,
-    reading: ReleaseReading | None = None,
-    methods: Sequence[Method] = METHODS,
-    modes: int | None = None,
-    real_poles: int | None = None,
-) -> tuple[StepFit, ...]:
-    """Return the fits of one output by several methods, in the order of `methods`.
-
-    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options; the
-    published ones select their order themselves or use three poles. `rng` samples the first generation.
-    """
-    reading = reading or read_release(record, channel)
-
-    def fitted(method: Method) -> StepFit:
-        if method in ("pencil", "arx"):
-            start: Literal["pencil", "arx"] = "arx" if method == "arx" else "pencil"
-            return fit_step(record, channel, reading=reading, modes=modes, real_poles=real_poles, method=start)
-        if method in ("sim", "sim_zoh"):
-            return fit_sim(record, channel, reading=reading, conversion="tustin" if method == "sim" else "zoh")
-        parametrisation: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
-        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=parametrisation)
-
-    return tuple(map(fitted, methods))

@@ -30,16 +30,8 @@ from shaker.release.model_order import fit_all_orders
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, columns, slopes
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, StepRecord
-from shaker.release.step_fit import (
-    StepFit,
-    fit_all_methods,
-    fit_evolution,
-    fit_shapes,
-    fit_sim,
-    fit_step,
-    merge_alternatives,
-    output_errors,
-)
+from shaker.release.step_fit import StepFit, fit_shapes, fit_step, merge_alternatives
+from shaker.release.step_methods import fit_all_methods, fit_evolution, fit_sim, output_errors
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.fitting import REJECT_CHI2
 

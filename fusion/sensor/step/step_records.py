@@ -13,12 +13,13 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.response import read_response
 from fusion.sensor import model_notices as declared
 from fusion.sensor.transfer.transfer_records import AlignedChannels, align
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_u, unit_of
 from shaker.lti.system import ModalModel, coordinate_sizes, from_coordinates, scale_of, to_coordinates
-from shaker.release.record import StepRecord
+from shaker.release.record import StepRecord, locate_change, peaks_hz
 from shaker.timebase.edges import kernel_reach, resample
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -27,7 +28,7 @@ from shakercal._common.propagation import derivatives
 # Choices of an identification from step responses.
 
 MethodChoice = Literal["pencil", "arx", "all"]
-ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "measured"]
+ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "exponential", "measured"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class StepSettings:
     method : method that starts a fit, "pencil" or "arx"; "all" compares every method in addition. Default "pencil".
     modes : number of modes; None selects it by rule.
     real_poles : number of real poles; None selects it by rule.
-    release : course of the load: "step", "ramp", "smooth" or "measured"; "auto" (default) selects it by rule.
+    release : course of the load: "step", "ramp", "smooth", "exponential" or "measured"; "auto" (default): by rule.
 
     Examples
     --------
@@ -115,6 +116,8 @@ def read_step(manifest: Manifest) -> StepInput:
         onset_s=excitation.onset,
         release=excitation.release or "",
     )
+    driven = record.channels.index(record.component) if record.component in record.channels else 0
+    record = with_stated_lag(record, driven, [*outputs.values()][driven][1])
     end_s = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
     if record.onset_s is not None and not record.start_s < record.onset_s < end_s:
         path, start_s, found_s = manifest.path, record.start_s, record.onset_s
@@ -127,6 +130,32 @@ def read_step(manifest: Manifest) -> StepInput:
     if late := ", ".join(entry.name for entry in entries if entry.filter_delay_s > 0.0):
         notices.append(Notice(declared.FILTER_IN_MODEL, record.name, channels=late))
     return StepInput(manifest, record, tuple(notices))
+
+
+_FAR_BELOW = 10.0  # ratio of the frequencies between which the magnitude of a chain gives its lag
+
+
+def with_stated_lag(record: StepRecord, driven: int, entry: ChannelEntry) -> StepRecord:
+    """Return a record with the lag of its driven output's stated response.
+
+    |H| = 1/√(1 + ω²τ²) at the frequency of the ringing relative to a tenth of it.
+    """
+    if entry.response is None:
+        return record
+    samples = record.samples[driven]
+    try:
+        rings = samples[int(np.ceil(locate_change(samples).index_90)) :]
+        hertz = float(peaks_hz(rings, 1.0 / record.sample_rate_hz, 1)[0])
+        at = np.array([hertz / _FAR_BELOW, hertz])
+        chain = read_response(entry.response, at, entry.response_result, entry.response_columns)
+    except (InputError, ValueError, IndexError):  # no ringing, or a table that ends below it
+        return record
+    below, omega = np.abs(chain.value[0] / chain.value[1]) ** 2, 2.0 * np.pi * hertz
+    per_omega = omega**2 * (1.0 - below / _FAR_BELOW**2)
+    square, u_square = max(0.0, (below - 1.0) / per_omega), 2.0 * below / per_omega
+    u_square *= float(np.linalg.norm((chain.errors[:, 1] - chain.errors[:, 0]).real))
+    lag = float(np.sqrt(square))
+    return replace(record, lag_s=lag, u_lag_s=float(u_square / (2.0 * max(lag, np.sqrt(u_square), 1e-12))))
 
 
 def _force(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:

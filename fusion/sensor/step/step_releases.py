@@ -33,16 +33,18 @@ from shaker.lti.system import ModalModel
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.step_fit import (
-    METHODS,
     Method,
     StepFit,
+    alternative_fits,
     describe_difference,
-    fit_all_methods,
     fit_shapes,
+    lag_notice,
     merge_alternatives,
+    order_hypotheses,
 )
+from shaker.release.step_methods import METHODS, fit_all_methods
 from shakercal._common.arrays import FloatArray
-from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
+from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.notices import Notice
 
 # Parts of evaluated step responses.
@@ -59,8 +61,8 @@ class StepRelease:
     record : without the uncertainty of the load, which all releases share.
     readings : of the outputs that can be read, `driven` first.
     fit : None if no model was found.
-    shapes : the fit and that of the other release shape, each as if the other were rejected.
-    excess : χ² of the second shape above that of the first, of all releases by the same device.
+    shapes : the fit and those of other release shapes, each as if the others were rejected. Their excess of χ² is that
+        of all releases by the same device.
     """
 
     manifest: Manifest
@@ -69,7 +71,6 @@ class StepRelease:
     readings: tuple[ReleaseReading, ...]
     fit: StepFit | None = None
     shapes: tuple[StepFit, ...] = ()
-    excess: float = np.inf
 
     @property
     def name(self) -> str:
@@ -80,6 +81,11 @@ class StepRelease:
     def reading(self) -> ReleaseReading:
         """Reading of the driven output."""
         return self.readings[0]
+
+    @property
+    def excess(self) -> float:
+        """χ² of the second hypothesis above that of the first, infinite without one."""
+        return self.shapes[1].excess if len(self.shapes) > 1 else np.inf
 
     @property
     def timing(self) -> StepFit | ReleaseReading:
@@ -271,19 +277,23 @@ def fit_release(
 
 
 def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
-    """Return releases with the models of the likeliest shape, one shape per device."""
-    total = defaultdict[tuple[str, str], float](float)
+    """Return releases with the likeliest models, one hypothesis per device."""
+    devices = defaultdict[str, list[dict[str, float]]](list)
     for release in releases:
-        for fit in release.shapes:
-            total[release.record.release, fit.shape] += fit.excess
+        if release.shapes:
+            devices[release.record.release].append({fit.hypothesis: fit.excess for fit in release.shapes})
+    total = {
+        device: {name: sum(costs.get(name, np.inf) for costs in members) for name in members[0]}
+        for device, members in devices.items()
+    }
 
     def with_likeliest_shape(release: StepRelease) -> StepRelease:
-        if len(release.shapes) < 2:
+        costs = total.get(release.record.release, {})
+        common = [fit for fit in release.shapes if np.isfinite(costs.get(fit.hypothesis, np.inf))]
+        if not common:
             return release
-        by_device = {fit.shape: total[release.record.release, fit.shape] for fit in release.shapes}
-        shapes = tuple(sorted(release.shapes, key=lambda fit: by_device[fit.shape]))
-        excess = by_device[shapes[1].shape] - by_device[shapes[0].shape]
-        return replace(release, fit=merge_alternatives(shapes, excess), shapes=shapes, excess=excess)
+        shapes = order_hypotheses([replace(fit, excess=costs[fit.hypothesis]) for fit in common])
+        return replace(release, fit=merge_alternatives(shapes), shapes=shapes)
 
     return tuple(map(with_likeliest_shape, releases))
 
@@ -291,15 +301,25 @@ def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]
 def alternative_shapes(
     releases: Sequence[StepRelease], component: str
 ) -> Iterator[tuple[AlternativeModels, Notice | None]]:
-    """Yield models of the other shape of undetermined devices, each with a notice if different."""
+    """Yield models of other hypotheses of undetermined devices, each with a notice if different."""
     for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
-        undetermined = [release.record.release == device and release.excess < REJECT_CHI2 for release in releases]
-        models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
-        first = releases[undetermined.index(True)]
-        difference = describe_difference(first.shapes[0], first.shapes[1])
-        notice = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
-        alternatives = [model for model in models if model is not None]
-        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice if difference else None
+        ends = [
+            {fit.hypothesis: end for fit, end in alternative_fits(r.shapes)} if r.record.release == device else {}
+            for r in releases
+        ]
+        first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
+        lag = lag_notice(first.shapes, component)
+        for fit, end in alternative_fits(first.shapes):
+            models = [
+                of_release[fit.hypothesis].model if fit.hypothesis in of_release else release.shapes[0].model
+                for of_release, release in zip(ends, releases, strict=True)
+            ]
+            notice, lag = lag, None
+            if notice is None and fit.shape not in ("exponential", first.shapes[0].shape):
+                text = describe_difference(first.shapes[0], fit)
+                shapes = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=text)
+                notice = shapes if text else None
+            yield AlternativeModels([model for model in models if model is not None], end.distance), notice
 
 
 # Selection of the releases for a component's model, and its structure.
@@ -511,8 +531,9 @@ def group_by_device(releases: Sequence[StepRelease], used: Sequence[str]) -> tup
     for kind in compare_releases(readings):
         of_device = [release for release in releases if release.record.release == kind.release]
         names = tuple(release.name for release in of_device)
-        open_shape = [release for release in of_device if release.excess < REJECT_CHI2]
-        deviations = [(r.shapes[1].release_s - r.timing.release_s) / excess_chi2_sigmas(r.excess) for r in open_shape]
+        others = [(release, alternative_fits(release.shapes)) for release in of_device if release.shapes]
+        moved = [[(fit.release_s - r.timing.release_s) / end.distance for fit, end in ends] for r, ends in others]
+        deviations = [float(np.linalg.norm(parts)) for parts in moved]
         u_mean = float(np.hypot(kind.length.u_mean, sum(deviations) / len(of_device)))
         shown = replace(kind, length=replace(kind.length, u_mean=u_mean))
         devices.append(ReleaseDevice(shown, names, not set(used).isdisjoint(names)))
