@@ -121,7 +121,7 @@ LENGTHS = (0.25, 0.6, 1.2)  # trial lengths of the release, in rise times
 TERM = 8.0  # fall of B·ln(sum of squares) by a significant numerator term
 _REAL = (1.5, 4.0, 10.0)  # trial real poles, in frequencies of the lowest mode
 _LAG = (0.0, 0.08, 0.17, 0.25)  # trial delays of the half-way point after the middle of the release, in periods
-_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
+LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
 
 
 def start_vectors(
@@ -151,8 +151,8 @@ def with_loose_prior(
     """
     modes, order = problem.structure.modes, problem.structure.order
     wide = np.full(len(vector), np.inf)
-    wide[2 * modes : order] = _LOOSE[0]
-    wide[order : order + 2] = np.array([1.0 / highest_hz, _LOOSE[1]])[: len(vector) - order]
+    wide[2 * modes : order] = LOOSE[0]
+    wide[order : order + 2] = np.array([1.0 / highest_hz, LOOSE[1]])[: len(vector) - order]
     return replace(problem, prior=vector, u_prior=wide), vector
 
 

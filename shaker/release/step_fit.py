@@ -52,7 +52,7 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     `fitted`, `residual` (N,) over `time_s` (N,) in output units. `onset_s`, `u_onset_s`, `release_s`, `u_release_s`:
     start and length of the release, whose time course is `shape`. `variance_accounted`: 1 - |residual|²/|y - mean|².
     `convergence`: loss over iterations, generations or the order 1, 2, …. `order`: number of poles. `duration_s`:
-    computing time. `excess`: χ² above that of the likeliest shape.
+    computing time. `excess`: χ² above that of the likeliest shape. `solution`: of output-error least squares.
     """
 
     method: Method
@@ -77,6 +77,7 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     shape: ReleaseShape = "step"
     excess: float = 0.0
     notices: tuple[Notice, ...] = ()
+    solution: OutputErrorFit | None = None
 
 
 # A solution as a result.
@@ -115,6 +116,7 @@ def as_step_fit(
         u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
         notices=fit_notices(record, reading, solution, model, covariance),
+        solution=solution,
     )
 
 

@@ -1,0 +1,311 @@
+"""One model fitted to several releases together, with the contribution of each release."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from shaker.lti.system import ModalModel
+from shaker.release.load_response import BlockMeans
+from shaker.release.model_order import CLEAR, LOOSE, TERM
+from shaker.release.output_error import (
+    MAX_DAMPING,
+    OutputErrorFit,
+    OutputErrorProblem,
+    PoleStructure,
+    columns,
+    design,
+    modal_model,
+    model_slopes,
+    noise_covariance,
+    slopes,
+)
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
+from shakercal._common.fitting import LMOptions, ParameterPrior, levenberg_marquardt
+
+_RULES = LMOptions(predicted_decrease=1e-4, max_steps=60, damping_decrease=0.03, min_damping=1e-8)
+_CONSISTENT = 1e-3  # probability of a larger χ² by chance below which releases do not share one model
+
+
+@dataclass(frozen=True, repr=False)
+class JointFit(Arrays):
+    """A model of several releases.
+
+    Each release has its own onset, duration and baseline. The model is that of all of them.
+
+    Attributes
+    ----------
+    model : the model, with the covariance by noise.
+    moves : (R, P), change of its parameters by the noise of each release, times R.
+    covariances : (R, P, P), of `moves`, by the noise that the release's own fit leaves.
+    square : χ² of all residuals, over the noise that the releases' own fits leave.
+    cost : `square` plus 8 per numerator term and 12 per pole.
+    consistent : whether `square` is above that of the releases' own fits by no more than chance.
+    """
+
+    model: ModalModel
+    moves: FloatArray
+    covariances: FloatArray
+    square: float
+    cost: float
+    consistent: bool
+
+
+class _Slopes(NamedTuple):
+    """Residual (B,) of a release and the change (B, K) of its fitted output with parameters `index` (K,)."""
+
+    residual: FloatArray
+    jacobian: FloatArray
+    index: IntArray
+
+
+@dataclass(frozen=True, repr=False)
+class _Releases:
+    """Releases with one structure: their own fits, and where their parameters are.
+
+    A vector is [poles, numerator terms, then baseline, middle and logarithm of the duration of each release].
+    """
+
+    structure: PoleStructure
+    fits: tuple[OutputErrorFit, ...]
+
+    @cached_property
+    def problems(self) -> tuple[OutputErrorProblem, ...]:
+        """Problem of each release with this structure."""
+        return tuple(replace(fit.problem, structure=self.structure) for fit in self.fits)
+
+    @cached_property
+    def noise(self) -> tuple[float, ...]:
+        """Variance of a sample of each release that counts about the modes."""
+        return tuple(max(fit.variance, 1e-300) * fit.problem.colour for fit in self.fits)
+
+    @property
+    def shared(self) -> int:
+        """Number of the model's parameters."""
+        return self.structure.order + self.structure.terms
+
+    @cached_property
+    def own(self) -> tuple[slice, ...]:
+        """Where the baseline and the release of each record are."""
+        sizes = [1 + len(fit.vector) - fit.problem.structure.order for fit in self.fits]
+        ends = self.shared + np.cumsum(sizes)
+        return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
+
+    def parts(self, vector: FloatArray, release: int) -> tuple[FloatArray, FloatArray]:
+        """Return nonlinear and linear parameters of one release, as in `OutputErrorFit`."""
+        own, order = vector[self.own[release]], self.structure.order
+        return np.append(vector[:order], own[1:]), np.append(own[0], vector[order : self.shared])
+
+    def index(self, release: int) -> IntArray:
+        """Return the places of the parameters of `slopes`, then of the columns of a design."""
+        own, order = np.arange(self.own[release].start, self.own[release].stop), self.structure.order
+        places = np.arange(self.shared)
+        return np.concatenate([places[:order], own[1:], own[:1], places[order:]])
+
+    def slopes(self, vector: FloatArray, release: int, samples: BlockMeans) -> _Slopes:
+        """Return the residual of one release and its derivatives."""
+        problem, (nonlinear, linear) = self.problems[release], self.parts(vector, release)
+        matrix, answered = columns(problem, nonlinear, samples)
+        jacobian = np.concatenate([slopes(problem, nonlinear, linear, answered), matrix], axis=1)
+        return _Slopes(samples.value - matrix @ linear, jacobian, self.index(release))
+
+    def allowed(self, vector: FloatArray) -> bool:
+        """Return whether modes oscillate and releases are within their records."""
+        modes, order = self.structure.modes, self.structure.order
+        if np.any(np.abs(vector[modes : 2 * modes]) > MAX_DAMPING) or np.any(np.abs(vector[:order]) > 50.0):
+            return False
+        return all(
+            not problem.load.lasting or np.exp(vector[own.stop - 1]) < np.ptp(problem.samples.time_s)
+            for problem, own in zip(self.problems, self.own, strict=True)
+        )
+
+    def start(self, poles: FloatArray) -> FloatArray:
+        """Return the vector of given poles (order,), with the best numerator."""
+        vector = np.zeros(self.own[-1].stop)
+        order, shared = self.structure.order, self.shared
+        vector[:order] = poles
+        normal, right = np.zeros((2, shared - order + len(self.fits), shared - order + len(self.fits)))
+        target = right[0]
+        for release, (fit, own) in enumerate(zip(self.fits, self.own, strict=True)):
+            vector[own] = np.append(fit.linear[0], fit.vector[fit.problem.structure.order :])
+            samples = fit.problem.samples
+            matrix = design(self.problems[release], self.parts(vector, release)[0], samples)
+            weight = samples.weight / np.sqrt(self.noise[release])
+            weighted, places = matrix * weight[:, None], np.append(shared - order + release, np.arange(shared - order))
+            normal[np.ix_(places, places)] += weighted.T @ weighted
+            target[places] += weighted.T @ (samples.value * weight)
+        size = np.sqrt(np.diag(normal))
+        size[size == 0.0] = 1.0
+        linear = np.linalg.lstsq(normal / np.outer(size, size), target / size, rcond=1e-14)[0] / size
+        vector[order:shared] = linear[: shared - order]
+        for release, own in enumerate(self.own):
+            vector[own.start] = linear[shared - order + release]
+        return vector
+
+    def prior(self, vector: FloatArray) -> ParameterPrior:
+        """Return a wide prior about a vector; that of a release is the one of its own fit."""
+        value, u = vector.copy(), np.full(len(vector), np.inf)
+        u[2 * self.structure.modes : self.structure.order] = LOOSE[0]
+        for fit, own in zip(self.fits, self.own, strict=True):
+            value[own.start + 1 : own.stop] = fit.problem.prior[fit.problem.structure.order :]
+            u[own.start + 1 : own.stop] = fit.problem.u_prior[fit.problem.structure.order :]
+        return ParameterPrior(value, u)
+
+
+@dataclass(frozen=True, repr=False)
+class _Point:
+    """Parameters of all releases, as `levenberg_marquardt` uses them."""
+
+    releases: _Releases
+    parameters: FloatArray
+
+    @cached_property
+    def parts(self) -> list[_Slopes]:
+        """Weighted residuals and derivatives of all releases."""
+        found = []
+        with np.errstate(over="ignore", invalid="ignore"):
+            for release, (problem, noise) in enumerate(zip(self.releases.problems, self.releases.noise, strict=True)):
+                part = self.releases.slopes(self.parameters, release, problem.samples)
+                weight = problem.samples.weight / np.sqrt(noise)
+                found.append(part._replace(residual=part.residual * weight, jacobian=part.jacobian * weight[:, None]))
+        return found
+
+    @cached_property
+    def loss(self) -> float:
+        """χ² of all residuals."""
+        value = float(sum(part.residual @ part.residual for part in self.parts))
+        return value if np.isfinite(value) else np.inf
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom, at least 1."""
+        return max(1, sum(len(part.residual) for part in self.parts) - len(self.parameters))
+
+    @cached_property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations."""
+        normal, downhill = np.zeros((len(self.parameters),) * 2), np.zeros(len(self.parameters))
+        for residual, jacobian, index in self.parts:
+            normal[np.ix_(index, index)] += jacobian.T @ jacobian
+            downhill[index] += jacobian.T @ residual
+        return normal, downhill
+
+
+def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], structure: PoleStructure) -> JointFit:
+    """Return one model of releases, from their own fits and all their samples.
+
+    `structure`: of the model, which at least one of the fits has but for the number of its numerator terms. The number
+    of terms is that, of those of the fits, which all records together support.
+
+    Raises
+    ------
+    ValueError : no fit has the modes and real poles of the structure.
+    """
+    alike = [fit for fit in fits if _counts(fit.problem.structure) == _counts(structure)]
+    if not alike:
+        raise ValueError("fits: expected one with the poles of the structure, found none")
+    poles = np.median([_sorted_poles(fit) for fit in alike], axis=0)
+    tried = []
+    for terms in sorted({fit.problem.structure.terms for fit in alike}):
+        releases = _Releases(replace(structure, terms=terms), tuple(fits))
+        start = releases.start(poles)
+
+        def at(vector: FloatArray, releases: _Releases = releases) -> _Point | None:
+            return _Point(releases, vector) if releases.allowed(vector) else None
+
+        tried.append(levenberg_marquardt(at, _Point(releases, start), _RULES, prior=releases.prior(start)).point)
+    best = min(tried, key=lambda point: point.loss + TERM * point.releases.structure.terms)
+    return _as_joint_fit(best, wholes)
+
+
+def _counts(structure: PoleStructure) -> tuple[int, int]:
+    """Return the numbers of modes and of real poles."""
+    return structure.modes, structure.reals
+
+
+def _sorted_poles(fit: OutputErrorFit) -> FloatArray:
+    """Return the parameters of a fit's poles, modes and real poles in rising frequency."""
+    structure, vector = fit.problem.structure, fit.vector
+    modes, reals = np.argsort(vector[: structure.modes]), np.argsort(vector[2 * structure.modes : structure.order])
+    return np.asarray(vector[np.concatenate([modes, structure.modes + modes, 2 * structure.modes + reals])])
+
+
+def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
+    """Return a solution with the contribution of each release from every sample."""
+    releases, vector, count = point.releases, point.parameters, len(wholes)
+    structure, shared = releases.structure, releases.shared
+    parts = [releases.slopes(vector, release, whole) for release, whole in enumerate(wholes)]
+    normal = np.zeros((len(vector),) * 2)
+    for (_, jacobian, index), noise in zip(parts, releases.noise, strict=True):
+        normal[np.ix_(index, index)] += jacobian.T @ jacobian / noise
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    normal = normal / np.outer(scale, scale)
+    prior = _prior_normal(releases, vector, scale, normal)
+    inverse = np.linalg.pinv(normal + np.diag(prior), rcond=1e-14, hermitian=True) / np.outer(scale, scale)
+    nonlinear, linear = releases.parts(vector, 0)
+    of_model = model_slopes(structure, nonlinear, linear)
+    slope = np.concatenate([of_model[:, : structure.order], of_model[:, len(nonlinear) + 1 :]], axis=1)
+    by_prior = inverse[:shared] * (prior * scale**2) @ inverse[:shared].T
+    moves, covariances = [], []
+    for release, (part, whole, noise) in enumerate(zip(parts, wholes, releases.noise, strict=True)):
+        gain = inverse[np.ix_(part.index, part.index)] @ part.jacobian.T / noise
+        fit = releases.fits[release]
+        own = np.asarray(design(fit.problem, fit.vector, whole) @ fit.linear)
+        of_noise = noise_covariance(part.jacobian, gain, whole, own).covariance
+        place = np.argsort(part.index)[:shared]
+        moves.append(count * slope @ (gain @ part.residual)[place])
+        covariances.append(slope @ (count**2 * of_noise[np.ix_(place, place)] + count * by_prior) @ slope.T)
+    covariance = np.sum(covariances, axis=0) / count**2
+    solution = OutputErrorFit(releases.problems[0], nonlinear, linear, point.loss)
+    excess = point.loss - sum(fit.square / noise for fit, noise in zip(releases.fits, releases.noise, strict=True))
+    return JointFit(
+        modal_model(solution, covariance, 0.0),
+        np.array(moves),
+        np.array(covariances),
+        point.loss,
+        point.loss + TERM * structure.terms + CLEAR * structure.order,
+        _by_chance(excess, (count - 1) * shared),
+    )
+
+
+def _by_chance(excess: float, freedom: int) -> bool:
+    """Return whether χ² above that of the releases' own fits may be chance."""
+    from scipy.special import chdtrc
+
+    return freedom == 0 or bool(chdtrc(freedom, max(excess, 0.0)) > _CONSISTENT)
+
+
+def _prior_normal(releases: _Releases, vector: FloatArray, scale: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the diagonal of the prior's scaled normal matrix, as that of a single fit.
+
+    The squares 1/a² of the real poles and T²/12 of a release are positive and at most their sum, which the record of
+    that release determines.
+    """
+    structure, added, largest = releases.structure, np.zeros(len(vector)), np.inf
+    for fit, own in zip(releases.fits, releases.own, strict=True):
+        if fit.problem.load.timed:
+            onset = own.start + 1
+            added[onset] = 1.0 / (fit.problem.u_prior[fit.problem.structure.order] * scale[onset]) ** 2
+    free = np.asarray(np.linalg.pinv(normal + np.diag(added), rcond=1e-14, hermitian=True))
+    reals = np.arange(2 * structure.modes, structure.order)
+    of_reals = 2.0 * np.exp(-2.0 * vector[reals])
+    for problem, own in zip(releases.problems, releases.own, strict=True):
+        length = own.stop - 1
+        squares = np.zeros(len(vector))
+        squares[reals] = -of_reals
+        if problem.load.lasting:
+            squares[length] = np.exp(2.0 * vector[length]) / 6.0
+        if np.count_nonzero(squares) < 2:
+            continue
+        of_record = squares / scale
+        spread_s2 = np.sqrt(max(0.0, float(of_record @ free @ of_record)))
+        most = 0.5 * float(np.sum(np.abs(squares))) + 2.0 * spread_s2
+        added[length] += 3.0 * (of_record[length] / most) ** 2
+        largest = min(largest, most)
+    added[reals] += 3.0 * (of_reals / scale[reals] / largest) ** 2
+    return added
