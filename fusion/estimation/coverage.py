@@ -74,10 +74,15 @@ class RealQuantity:
 
 @dataclass(frozen=True)
 class NamedQuantity(RealQuantity):
-    """A quantity with its `name` in files and its `label` for readers."""
+    """A quantity with its `name` in files and its `label` for readers.
+
+    `low`, `high`: ends of its 95 % interval where that is not symmetric, else NaN; `expanded` includes both.
+    """
 
     name: str
     label: str
+    low: float = np.nan
+    high: float = np.nan
 
 
 # 95 % regions of complex values.

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimation.coverage import NamedQuantity
+from fusion.estimation.coverage import NamedQuantity, coverage_factor
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
-from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_u, unit_of
-from shaker.lti.system import ModalModel, coordinate_sizes, from_coordinates, scale_of, to_coordinates
+from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_interval, unit_of
+from shaker.lti.system import CoordinateFrame, ModalModel, coordinate_sizes, frame_of, from_coordinates, to_coordinates
 from shaker.release.joint_fit import JointFit
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -30,42 +30,42 @@ class Contributions(NamedTuple):
     """What each of R releases contributes to one model, in the coordinates of `to_coordinates`.
 
     `model`: one with their structure. `vectors` (R, 2P) with `covariances` (R, 2P, 2P): the models of single releases,
-    or, if `joint`, values whose mean is the model fitted to all releases. `scale` is that of the coordinates.
+    or, if `joint`, values whose mean is the model fitted to all releases. `frame` is that of the coordinates.
     """
 
     model: ModalModel
     vectors: FloatArray
     covariances: FloatArray
-    scale: float
+    frame: CoordinateFrame
     joint: bool = False
 
     @property
     def mean_model(self) -> ModalModel:
         """The model of the mean of all vectors."""
         modes, reals = len(self.model.frequency_hz), len(self.model.real_hz)
-        return self.model.with_vector(from_coordinates(self.vectors.mean(axis=0), modes, reals, self.scale))
+        return self.model.with_vector(from_coordinates(self.vectors.mean(axis=0), modes, reals, self.frame))
 
 
 def of_models(models: Sequence[ModalModel]) -> Contributions:
     """Return the contributions of models of single releases, mode by mode in ascending frequency."""
     ordered = [sorted_modes(model) for model in models]
-    scale, vectors, covariances = scale_of(ordered[0]), [], []
+    frame, vectors, covariances = frame_of(ordered[0]), [], []
     for model in ordered:
         stated = np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
-        coordinates, slope = replace(model, covariance=stated).jacobian(lambda at: to_coordinates(at, scale))
+        coordinates, slope = replace(model, covariance=stated).jacobian(lambda at: to_coordinates(at, frame))
         vectors.append(coordinates)
         covariances.append(_without_rounding(slope @ stated @ slope.T, coordinates, len(model.real_hz)))
-    return Contributions(ordered[0], np.stack(vectors), np.stack(covariances), scale)
+    return Contributions(ordered[0], np.stack(vectors), np.stack(covariances), frame)
 
 
 def of_joint(joint: JointFit) -> Contributions:
     """Return the contributions of releases to the model fitted to all of them."""
-    model, scale, reals = joint.model, scale_of(joint.model), len(joint.model.real_hz)
-    coordinates, slope = model.jacobian(lambda at: to_coordinates(at, scale))
+    model, frame, reals = joint.model, frame_of(joint.model), len(joint.model.real_hz)
+    coordinates, slope = model.jacobian(lambda at: to_coordinates(at, frame))
     by = (joint.moves - joint.moves.mean(axis=0)) @ slope.T
     by[np.abs(by) < ROUNDING * coordinate_sizes(coordinates, reals)] = 0.0
     covariances = [_without_rounding(slope @ one @ slope.T, coordinates, reals) for one in joint.covariances]
-    return Contributions(model, coordinates + by, np.stack(covariances), scale, joint=True)
+    return Contributions(model, coordinates + by, np.stack(covariances), frame, joint=True)
 
 
 def _without_rounding(covariance: FloatArray, coordinates: FloatArray, reals: int) -> FloatArray:
@@ -191,13 +191,13 @@ def pool_models(
     step = np.maximum(STEP * np.sqrt(np.diag(mean.covariance)), 10.0 * ROUNDING * coordinate_sizes(mean.value, reals))
 
     def parameters(move: FloatArray) -> FloatArray:
-        return from_coordinates(mean.value + move, modes, reals, found.scale)
+        return from_coordinates(mean.value + move, modes, reals, found.frame)
 
     value, back = parameters(np.zeros(len(step))), derivatives(parameters, step)
     common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * modes, 2 * modes, reals, reals]) * value
     model = found.model.with_vector(value)
     other = influences.effects(lambda *part: model.altered(*part).vector)
-    there = [(to_coordinates(one.model, found.scale) - mean.value) / one.distance for one in alternatives]
+    there = [(to_coordinates(one.model, found.frame) - mean.value) / one.distance for one in alternatives]
     shapes = np.array(there).reshape(-1, len(value)) @ back.T
     shared = np.concatenate([common[None], shapes, other])
     covariance = back @ mean.covariance @ back.T + shared.T @ shared
@@ -281,16 +281,17 @@ def index_quantities(
     """Return the indices of a pooled model with uncertainty, and their notices.
 
     `nominal`: nominal gain of the sensor; without one (None) there is no band relative to it. Settling times are
-    discontinuous in steps of half periods. Their uncertainty is that of `settling_u` with the degrees of freedom of the
-    damping ratio.
+    discontinuous in steps of half periods. They have the interval of `settling_interval` with the degrees of freedom of
+    the damping ratio, and U is its longer side.
     """
     model = pooled.model
     found = indices(model.system, nominal or 1.0, sample_rate_hz)
     names, moving = moving_figures(model, found)
     slope = model.jacobian(moving)[1]
+    dominant = None if found.dominant is None else found.dominant.pole
 
     def figures(move: FloatArray) -> FloatArray:  # NaN for an index that is not defined
-        moved = indices(model.with_move(move).system, nominal or 1.0).figures()
+        moved = indices(model.with_move(move).system, nominal or 1.0, dominant=dominant).figures()
         return np.array([moved[name] for name in names], dtype=np.float64)
 
     seen = find_figure_range(np.asarray(model.covariance), slope, figures)
@@ -298,13 +299,24 @@ def index_quantities(
     u, dof = (seen.factor * u).tolist(), dof.tolist()
     estimated = dict(zip(names, zip(u, dof, strict=True), strict=True))
     of_damping = estimated.get("damping_ratio", (0.0, np.inf))[1]
-    estimated |= {name: (settling_u(model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
     quantities = []
     for name, value in found.figures().items():
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
             index_unit = unit if name == "static_gain" else unit_of(name) or "1"
+            if name in SETTLING:
+                quantities.append(_settling(model, name, value, of_damping))
+                continue
             uncertainty = estimated.get(name, (np.nan, np.inf))
             quantities.append(NamedQuantity(value, *uncertainty, index_unit, name, LABELS[name]))
     parts = pooled.budget(slope, influences)
     budget = {cause: dict(zip(names, (seen.factor * part).tolist(), strict=True)) for cause, part in parts.items()}
     return IndexResults(tuple(quantities), (*found.notices, *seen.notices(names)), budget)
+
+
+def _settling(model: ModalModel, name: str, value: float, dof: float) -> NamedQuantity:
+    """Return a settling time with its interval; U is the longer side."""
+    k = coverage_factor(dof)
+    ends = settling_interval(model, SETTLING[name], k)
+    low, high = (np.nan, np.nan) if ends is None else ends
+    u = max(value - low, high - value) / k
+    return NamedQuantity(value, u, dof, unit_of(name), name, LABELS[name], low, high)
