@@ -552,27 +552,30 @@ def frame_of(model: ModalModel) -> CoordinateFrame:
 def to_coordinates(model: ModalModel, frame: CoordinateFrame) -> FloatArray:
     """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `frame.scale` in
+    They are [f_n (M), ζ (M), 1/real_hz² (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `frame.scale` in
     rad/s; n_0 is the static gain. From the other n_k, n_0 times the numerator that cancels the modes
     `frame.cancelled` is subtracted: zeros then move with the poles that they nearly cancel. A smooth start has zero for
-    the highest n_k. A real pole far above the modes has a lag near zero.
+    the highest n_k. A real pole far above the modes has a lag near zero; a record determines the square of a lag,
+    which changes the gain, much better than the lag, which is hardly distinct from a later release.
     """
     (poles, residues), scale = model.terms, frame.scale
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
     numerator = (np.sum(parts, axis=0) / np.prod(-poles / scale)).real
     near = frame.cancelling(model.frequency_hz, model.damping_ratio)
     numerator[1 : len(near)] -= numerator[0] * near[1:]
-    return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator])
+    squares = np.sign(model.real_hz) / model.real_hz**2
+    return np.concatenate([model.frequency_hz, model.damping_ratio, squares, numerator])
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, frame: CoordinateFrame) -> FloatArray:
     """Return the vector (2P,) of a `ModalModel` from `to_coordinates`, with |ζ| < 1."""
     order, scale = 2 * modes + reals, frame.scale
-    frequency, damping, lag, above = np.split(coordinates, [modes, 2 * modes, order])
+    frequency, damping, squares, above = np.split(coordinates, [modes, 2 * modes, order])
     damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)
     near, numerator = frame.cancelling(frequency, damping), above.copy()
     numerator[1 : len(near)] += numerator[0] * near[1:]
-    blank = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
+    real = np.sign(squares) / np.sqrt(np.abs(squares))
+    blank = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), real, np.zeros(reals))
     unscaled, _ = blank.terms
     poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
     # residues over the scale of Σ n_k x^k/Π(1 - x/p)
