@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,8 +81,8 @@ class NamedQuantity(RealQuantity):
 
     name: str
     label: str
-    low: float = np.nan
-    high: float = np.nan
+    low: float = field(default=np.nan, kw_only=True)
+    high: float = field(default=np.nan, kw_only=True)
 
 
 # 95 % regions of complex values.

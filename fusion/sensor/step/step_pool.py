@@ -319,4 +319,4 @@ def _settling(model: ModalModel, name: str, value: float, dof: float) -> NamedQu
     ends = settling_interval(model, SETTLING[name], k)
     low, high = (np.nan, np.nan) if ends is None else ends
     u = max(value - low, high - value) / k
-    return NamedQuantity(value, u, dof, unit_of(name), name, LABELS[name], low, high)
+    return NamedQuantity(value, u, dof, unit_of(name), name, LABELS[name], low=low, high=high)
