@@ -446,9 +446,11 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-        `step` is the shift of a parameter in its standard uncertainties, at most 5 % for real poles.
+        `step` is the shift of a parameter in its standard uncertainties, at most 5 % for real poles, and for damping
+        ratios half the distance to 1.
         """
-        moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
+        moves, modes = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0)), len(self.damping_ratio)
+        moves[modes : 2 * modes] = np.minimum(moves[modes : 2 * modes], 0.5 * (1.0 - np.abs(self.damping_ratio)))
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
         return function(self), derivatives(lambda move: function(self.with_vector(self.vector + move)), moves)

@@ -24,6 +24,7 @@ from fusion.sensor.step.step_releases import (
 )
 from shaker.release.joint_fit import JointFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
+from shaker.release.model_order import STEEP
 from shaker.release.step_fit import StepFit, describe_difference
 from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice
@@ -38,8 +39,8 @@ _OTHER_MODE_U = 5.0  # the same over the standard uncertainty of the mode
 def unsound(releases: Sequence[StepRelease]) -> dict[str, str]:
     """Return why the fits of some releases cannot be averaged with the others, by name.
 
-    A mode grows, the residual is far above the noise at rest compared with the other releases, or a mode lies
-    elsewhere.
+    A mode grows, a small mode is damped so much that it is drift, or the residual is far above the noise at rest,
+    compared with the other releases.
     """
     found = dict[str, str]()
     misfit = {release.name: _misfit(release) for release in releases}
@@ -48,9 +49,15 @@ def unsound(releases: Sequence[StepRelease]) -> dict[str, str]:
         model = None if release.fit is None else release.fit.model
         if model is None:
             continue
-        growing = model.frequency_hz[model.damping_ratio <= 0.0]
+        small = np.ones(len(model.frequency_hz), dtype=np.bool_)
+        small[np.argmax(np.abs(model.residue / model.poles[: len(small)]))] = False
+        growing, drift = (
+            model.frequency_hz[one] for one in (model.damping_ratio <= 0.0, small & (model.damping_ratio > STEEP))
+        )
         if len(growing):
             found[release.name] = f"its mode at {growing[0]:.4g} Hz grows"
+        elif len(drift):
+            found[release.name] = f"its mode at {drift[0]:.4g} Hz hardly oscillates"
         elif len(releases) > 2 and misfit[release.name] > _BAD_FIT * max(usual, 1.0):
             factors = f"{misfit[release.name]:.2g} times the noise at rest, with {usual:.2g} times in most releases"
             found[release.name] = f"its residual is {factors}"
@@ -270,7 +277,7 @@ def _sound(
             found.append(release)
             continue
         again = _with_fewer_modes(release, sound, settings)
-        if again is None or again.name in unsound([*sound, again]):
+        if again is None:
             where, channel, reason = release.name, release.driven, reasons[release.name]
             notices.append(Notice(declared.RELEASE_NOT_AVERAGED, where, channel=channel, reason=reason))
             continue
@@ -282,14 +289,13 @@ def _sound(
 def _with_fewer_modes(
     release: StepRelease, sound: Sequence[StepRelease], settings: StepSettings
 ) -> StepRelease | None:
-    """Return a release fitted with the structure of sound ones, or with a mode less; None without a fit."""
-    structures = [one for one in sound if one.structure is not None]
-    modes, reals = common_structure(structures) if structures else release.structure or (1, 1)
-    modes = modes if structures and (modes, reals) != release.structure else modes - 1
-    if settings.modes is not None or modes < 1:
-        return None
-    again, _ = fit_release(replace(release, fit=None, shapes=()), settings, (modes, reals))
-    return None if again.fit is None else again
+    """Return a release with the most modes, fewer than before, that make its fit sound; None without one."""
+    for modes in range((release.structure or (1, 1))[0] - 1, 0, -1):
+        if settings.modes is None:
+            again, _ = fit_release(replace(release, fit=None, shapes=()), replace(settings, modes=modes))
+            if again.fit is not None and again.name not in unsound([*sound, again]):
+                return again
+    return None
 
 
 def _of_one_structure(
