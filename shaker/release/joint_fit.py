@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,10 @@ from shaker.release.output_error import (
 from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.fitting import LMOptions, ParameterPrior, levenberg_marquardt
 
-_RULES = LMOptions(predicted_decrease=1e-4, max_steps=60, damping_decrease=0.03, min_damping=1e-8)
+_RULES = LMOptions(predicted_decrease=1e-4, max_steps=30, damping_decrease=0.03, min_damping=1e-8)
+_DURATIONS = (1.0, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6)  # of a release, over those of its own fit
+_MIDDLES = (0.0, -0.3, 0.3, -0.6, 0.6)  # shifts of its middle, in radians of the lowest mode
+_SWEEPS = 3  # over the releases in the search of their durations
 _CONSISTENT = 1e-3  # probability of a larger χ² by chance below which releases do not share one model
 
 
@@ -124,27 +128,54 @@ class _Releases:
         )
 
     def start(self, poles: FloatArray) -> FloatArray:
-        """Return the vector of given poles (order,), with the best numerator."""
+        """Return the vector of given poles (order,), with releases as in their own fits."""
         vector = np.zeros(self.own[-1].stop)
-        order, shared = self.structure.order, self.shared
-        vector[:order] = poles
-        normal, right = np.zeros((2, shared - order + len(self.fits), shared - order + len(self.fits)))
-        target = right[0]
-        for release, (fit, own) in enumerate(zip(self.fits, self.own, strict=True)):
+        vector[: self.structure.order] = poles
+        for fit, own in zip(self.fits, self.own, strict=True):
             vector[own] = np.append(fit.linear[0], fit.vector[fit.problem.structure.order :])
-            samples = fit.problem.samples
-            matrix = design(self.problems[release], self.parts(vector, release)[0], samples)
-            weight = samples.weight / np.sqrt(self.noise[release])
-            weighted, places = matrix * weight[:, None], np.append(shared - order + release, np.arange(shared - order))
-            normal[np.ix_(places, places)] += weighted.T @ weighted
-            target[places] += weighted.T @ (samples.value * weight)
-        size = np.sqrt(np.diag(normal))
-        size[size == 0.0] = 1.0
-        linear = np.linalg.lstsq(normal / np.outer(size, size), target / size, rcond=1e-14)[0] / size
-        vector[order:shared] = linear[: shared - order]
-        for release, own in enumerate(self.own):
-            vector[own.start] = linear[shared - order + release]
         return vector
+
+    def near(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return changes (C, 2) of middle and logarithm of the duration, and `_explained` for each (R, C, ., .).
+
+        The ringing of a mode changes its sign where the load changes for a whole period of it. With several modes the
+        best release is therefore sought near that of the own fit. The first change is none.
+        """
+        moves = np.zeros((1, 2))
+        if self.structure.modes > 1 and all(problem.load.lasting for problem in self.problems):
+            shifts = float(np.exp(-vector[: self.structure.modes].min())) * np.array(_MIDDLES)
+            moves = np.array([*product(shifts, np.log(_DURATIONS))])
+        releases = range(len(self.fits))
+        return moves, np.array([[self._explained(vector, n, move) for move in moves] for n in releases])
+
+    def best_of(self, vector: FloatArray, moves: FloatArray, tables: FloatArray) -> FloatArray:
+        """Return a vector with the best of `near` for each release, and the best numerator."""
+        places = np.append(np.arange(self.structure.terms), -1)
+        tables = tables[:, :, places[:, None], places]
+        alike = int(np.argmin([_unexplained(table) for table in tables.sum(axis=0)]))
+        _, chosen = min((_descend(tables, first) for first in {0, alike}), key=lambda one: one[0])
+        total = np.sum([table[place] for table, place in zip(tables, chosen, strict=True)], axis=0)
+        found = np.concatenate([vector[: self.structure.order], _solved(total), vector[-self._outside :]])
+        for release, own in enumerate(self.own):
+            found[own.start + 1 : own.stop] += moves[chosen[release]][: own.stop - own.start - 1]
+            samples, (nonlinear, linear) = self.problems[release].samples, self.parts(found, release)
+            off = samples.value - design(self.problems[release], nonlinear, samples)[:, 1:] @ linear[1:]
+            found[own.start] = float(np.average(off, weights=samples.length))
+        return found
+
+    @property
+    def _outside(self) -> int:
+        """Number of the releases' parameters."""
+        return self.own[-1].stop - self.shared
+
+    def _explained(self, vector: FloatArray, release: int, move: FloatArray) -> FloatArray:
+        """Return products (terms + 1, terms + 1) of the terms' responses and the output, without their means."""
+        problem, samples = self.problems[release], self.problems[release].samples
+        nonlinear = self.parts(vector, release)[0].copy()
+        nonlinear[self.structure.order :] += move[: len(nonlinear) - self.structure.order]
+        rows = np.append(design(problem, nonlinear, samples)[:, 1:], samples.value[:, None], axis=1)
+        rows = (rows - np.average(rows, axis=0, weights=samples.length)) * samples.weight[:, None]
+        return np.asarray(rows.T @ rows / self.noise[release])
 
     def prior(self, vector: FloatArray) -> ParameterPrior:
         """Return a wide prior about a vector; that of a release is the one of its own fit."""
@@ -198,8 +229,8 @@ class _Point:
 def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], structure: PoleStructure) -> JointFit:
     """Return one model of releases, from their own fits and all their samples.
 
-    `structure`: of the model, which at least one of the fits has but for the number of its numerator terms. The number
-    of terms is that, of those of the fits, which all records together support.
+    `structure`: of the model, which at least one of the fits has but for the number of its numerator terms. All
+    records together determine that number, from the least of the fits to the largest, or that of a chain of masses.
 
     Raises
     ------
@@ -209,17 +240,44 @@ def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], st
     if not alike:
         raise ValueError("fits: expected one with the poles of the structure, found none")
     poles = np.median([_sorted_poles(fit) for fit in alike], axis=0)
-    tried = []
-    for terms in sorted({fit.problem.structure.terms for fit in alike}):
-        releases = _Releases(replace(structure, terms=terms), tuple(fits))
-        start = releases.start(poles)
+    terms = [fit.problem.structure.terms for fit in alike]
+    richest = _Releases(replace(structure, terms=max(*terms, structure.smoothest)), tuple(fits))
+    start = richest.start(poles)
+    moves, tables = richest.near(start)
+    tried = list[_Point]()
+    for count in range(min(terms), richest.structure.terms + 1):
+        releases = _Releases(replace(structure, terms=count), tuple(fits))
+        first = releases.best_of(start, moves, tables)
 
         def at(vector: FloatArray, releases: _Releases = releases) -> _Point | None:
             return _Point(releases, vector) if releases.allowed(vector) else None
 
-        tried.append(levenberg_marquardt(at, _Point(releases, start), _RULES, prior=releases.prior(start)).point)
+        tried.append(levenberg_marquardt(at, _Point(releases, first), _RULES, prior=releases.prior(first)).point)
     best = min(tried, key=lambda point: point.loss + TERM * point.releases.structure.terms)
     return _as_joint_fit(best, wholes)
+
+
+def _descend(tables: FloatArray, first: int) -> tuple[float, list[int]]:
+    """Return the least sum of squares left by one choice per release of `tables` (R, C, ., .), and the choices."""
+    chosen, total = [first] * len(tables), tables[:, first].sum(axis=0)
+    for _ in range(_SWEEPS if tables.shape[1] > 1 else 0):
+        for release, table in enumerate(tables):
+            others = total - table[chosen[release]]
+            chosen[release] = int(np.argmin([_unexplained(others + one) for one in table]))
+            total = others + table[chosen[release]]
+    return _unexplained(total), chosen
+
+
+def _solved(products: FloatArray) -> FloatArray:
+    """Return the numerator (terms,) from products of the terms' responses and the output."""
+    size = np.sqrt(np.maximum(np.diag(products), 1e-300))[:-1]
+    scaled = products[:-1, :-1] / np.outer(size, size)
+    return np.asarray(np.linalg.lstsq(scaled, products[:-1, -1] / size, rcond=1e-13)[0] / size)
+
+
+def _unexplained(products: FloatArray) -> float:
+    """Return the sum of squares of the output that the terms' responses leave."""
+    return float(products[-1, -1] - products[:-1, -1] @ _solved(products))
 
 
 def _counts(structure: PoleStructure) -> tuple[int, int]:
@@ -254,9 +312,10 @@ def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
     moves, covariances = [], []
     for release, (part, whole, noise) in enumerate(zip(parts, wholes, releases.noise, strict=True)):
         gain = inverse[np.ix_(part.index, part.index)] @ part.jacobian.T / noise
-        fit = releases.fits[release]
+        fit, fitted = releases.fits[release], whole.value - part.residual
         own = np.asarray(design(fit.problem, fit.vector, whole) @ fit.linear)
-        of_noise = noise_covariance(part.jacobian, gain, whole, own).covariance
+        better = np.var(whole.value - own) < np.var(part.residual)
+        of_noise = noise_covariance(part.jacobian, gain, whole, own if better else fitted).covariance
         place = np.argsort(part.index)[:shared]
         moves.append(count * slope @ (gain @ part.residual)[place])
         covariances.append(slope @ (count**2 * of_noise[np.ix_(place, place)] + count * by_prior) @ slope.T)

@@ -118,14 +118,15 @@ def _samples(release: StepRelease) -> BlockMeans:
 
 
 def likeliest_structure(releases: Sequence[StepRelease], shapes: Mapping[str, str]) -> JointFit | None:
-    """Return the model of all releases with the structure that they support together.
-
-    None if the releases do not share a model.
-    """
+    """Return the model of all releases with the structure that they support together, None without one."""
     structures = dict.fromkeys(release.structure for release in releases if release.structure is not None)
     joints = [joint for one in structures if (joint := fit_together(releases, shapes, one)) is not None]
-    best = min(joints, key=lambda joint: joint.cost, default=None)
-    return best if best is not None and best.consistent and np.all(best.model.damping_ratio > 0.0) else None
+    return min(filter(_is_sound, joints), key=lambda joint: joint.cost, default=None)
+
+
+def _is_sound(joint: JointFit) -> bool:
+    """Return whether no mode grows."""
+    return bool(np.all(joint.model.damping_ratio > 0.0))
 
 
 def common_structure(releases: Sequence[StepRelease]) -> Structure:
@@ -168,15 +169,17 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
     for device in devices:
         of_device = [release for release in releases if release.record.release == device]
         for shape in dict.fromkeys(fit.shape for release in of_device for fit in release.shapes):
-            if shape == shapes[device] or not _may_be(of_device, shape):
+            if shape == shapes[device] or not _may_be(of_device, shape, structure):
                 continue
             joint = fit_together(releases, shapes | {device: shape}, structure)
-            if joint is None:
+            if joint is None or not _is_sound(joint):
                 continue
             others.append((device, shape, joint))
-            if joint.cost < best.cost and np.all(joint.model.damping_ratio > 0.0):
+            if joint.cost < best.cost:
                 others[-1] = (device, shapes[device], best)
                 best, shapes[device] = joint, shape
+    if not best.consistent:
+        return None
     alternatives = []
     for device, shape, joint in others:
         if joint.cost - best.cost < REJECT_CHI2:
@@ -192,9 +195,10 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
 _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a shape is not fitted to all releases
 
 
-def _may_be(releases: Sequence[StepRelease], shape: str) -> bool:
-    """Return whether the own fits of the releases by one device do not exclude a shape by far."""
-    return sum(fit.excess for release in releases for fit in release.shapes if fit.shape == shape) < _HOPELESS
+def _may_be(releases: Sequence[StepRelease], shape: str, structure: Structure) -> bool:
+    """Return whether the own fits of the releases by one device, if of the structure, do not exclude a shape by far."""
+    alike = [release for release in releases if release.structure == structure]
+    return sum(fit.excess for release in alike for fit in release.shapes if fit.shape == shape) < _HOPELESS
 
 
 def _shape_notice(device: str, component: str, pair: tuple[StepFit, StepFit]) -> Notice | None:
