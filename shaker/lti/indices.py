@@ -401,24 +401,26 @@ def settling_interval(model: ModalModel, tolerance: float, factor: float) -> tup
     found = settling_turns(model.system, tolerance)
     if found is None:
         return None
+
+    def reach(at_s: FloatArray) -> FloatArray:
+        slope = model.jacobian(lambda at: np.asarray(at.step(at_s) / at.static_gain))[1]
+        square = np.einsum("tp,pq,tq->t", slope, np.asarray(model.covariance), slope, optimize=True)
+        return factor * np.sqrt(np.maximum(square, 0.0))
+
     time, ratio = found
-    slope = model.jacobian(lambda at: np.asarray(at.step(time) / at.static_gain))[1]
-    reach = factor * np.sqrt(np.maximum(np.einsum("tp,pq,tq->t", slope, model.covariance, slope, optimize=True), 0.0))
-    return _last_outside(model, time, ratio, tolerance + reach), _last_outside(model, time, ratio, tolerance - reach)
+    at_turns = reach(time)
 
+    def last_outside(sign: float) -> float:
+        outside = np.flatnonzero(np.abs(ratio - 1.0) > tolerance + sign * at_turns)
+        if not len(outside) or outside[-1] == len(time) - 1:
+            return float(time[-1] if len(outside) else time[0])
+        ends, sense = time[outside[-1] : outside[-1] + 2], np.sign(ratio[outside[-1]] - 1.0)
 
-def _last_outside(model: ModalModel, time: FloatArray, ratio: FloatArray, level: FloatArray) -> float:
-    """Return when a response last leaves ± `level` (T,) about 1, with the response `ratio` at turning points `time`."""
-    outside = np.flatnonzero(np.abs(ratio - 1.0) > level)
-    if not len(outside):
-        return 0.0 if time[0] == 0.0 else float(time[0])
-    last = int(outside[-1])
-    if last == len(time) - 1:
-        return float(time[last])
-    ends, sense = time[last : last + 2], np.sign(ratio[last] - 1.0)
+        def beyond(at_s: FloatArray) -> FloatArray:
+            off = sense * (model.step(at_s) / model.static_gain - 1.0)
+            return np.asarray(off - tolerance - sign * reach(at_s))
 
-    def beyond(at: FloatArray) -> FloatArray:
-        return np.asarray(sense * (model.step(at) / model.static_gain - 1.0) - np.interp(at, ends, level[last : last + 2]))
+        signs = beyond(ends)
+        return float(roots_between(beyond, ends[:1], ends[1:])[0]) if signs[0] > 0.0 > signs[1] else float(ends[1])
 
-    signs = beyond(ends)
-    return float(roots_between(beyond, ends[:1], ends[1:])[0]) if signs[0] > 0.0 > signs[1] else float(ends[1])
+    return last_outside(1.0), last_outside(-1.0)
