@@ -405,7 +405,7 @@ def settling_interval(model: ModalModel, tolerance: float, factor: float) -> tup
     def reach(at_s: FloatArray) -> FloatArray:
         slope = model.jacobian(lambda at: np.asarray(at.step(at_s) / at.static_gain))[1]
         square = np.einsum("tp,pq,tq->t", slope, np.asarray(model.covariance), slope, optimize=True)
-        return factor * np.sqrt(np.maximum(square, 0.0))
+        return np.asarray(factor * np.sqrt(np.maximum(square, 0.0)))
 
     time, ratio = found
     at_turns = reach(time)

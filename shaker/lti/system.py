@@ -14,8 +14,7 @@ from shakercal._common.propagation import derivatives
 
 Conversion = Literal["tustin", "zoh"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
-_NO_ZERO = 1e-10
-"""Share that cancels in a leading coefficient beyond which it is rounding: a zero that many times beyond the poles."""
+_NO_ZERO = 1e-10  # remaining share of a leading coefficient that is rounding: a zero 1e10 times beyond the poles
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
@@ -446,8 +445,7 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-        `step` is the shift of a parameter in its standard uncertainties, at most 5 % for real poles, and for damping
-        ratios half the distance to 1.
+        `step`: shift of a parameter in standard uncertainties; at most 5 % of a real pole, and half way to ζ = 1.
         """
         moves, modes = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0)), len(self.damping_ratio)
         moves[modes : 2 * modes] = np.minimum(moves[modes : 2 * modes], 0.5 * (1.0 - np.abs(self.damping_ratio)))
@@ -489,8 +487,7 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
         Modes and zeros become H(s/(1 + `frequency`)), as with uniformly stiffer springs; their odd powers of s grow by
         `damping_ratio`. Real poles, those of the amplifier, and the static gain are constant unless `gain` is given.
         """
-        modes, reals = len(self.frequency_hz), len(self.real_hz)
-        frame = CoordinateFrame(scale_of(self))
+        modes, reals, frame = len(self.frequency_hz), len(self.real_hz), CoordinateFrame(scale_of(self))
         powers = np.arange(2 * modes + reals)
         numerator = (1.0 + gain) * (1.0 + frequency) ** -powers.astype(np.float64)
         numerator *= np.where(powers % 2 == 1, 1.0 + damping_ratio, 1.0)
@@ -542,11 +539,10 @@ class CoordinateFrame(NamedTuple):
 
 
 def frame_of(model: ModalModel) -> CoordinateFrame:
-    """Return the frame of a model: all modes but the largest are nearly cancelled, as far as it has zeros for them."""
-    plain = CoordinateFrame(scale_of(model))
+    """Return the frame of a model: all modes but the largest are nearly cancelled, if it has zeros for them."""
+    plain, modes = CoordinateFrame(scale_of(model)), len(model.frequency_hz)
     numerator = np.abs(to_coordinates(model, plain)[len(model.terms[0]) :])
     highest = int(np.flatnonzero(numerator > 1e-9 * numerator.max(initial=0.0)).max(initial=0))
-    modes = len(model.frequency_hz)
     by_size = np.argsort(np.abs(model.residue / model.poles[:modes]))
     return plain._replace(cancelled=tuple(by_size[: max(0, min(modes - 1, highest // 2))].tolist()))
 
@@ -555,10 +551,9 @@ def to_coordinates(model: ModalModel, frame: CoordinateFrame) -> FloatArray:
     """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
     They are [f_n (M), ζ (M), 1/real_hz² (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `frame.scale` in
-    rad/s; n_0 is the static gain. From the other n_k, n_0 times the numerator that cancels the modes
-    `frame.cancelled` is subtracted: zeros then move with the poles that they nearly cancel. A smooth start has zero for
-    the highest n_k. A real pole far above the modes has a lag near zero; a record determines the square of a lag,
-    which changes the gain, much better than the lag, which is hardly distinct from a later release.
+    rad/s; n_0 is the static gain. The other n_k are less n_0 times the numerator that cancels the modes
+    `frame.cancelled`: zeros then move with the poles that they nearly cancel. A smooth start has zero for the highest
+    n_k. A record determines the square of a lag, which changes the gain, better than the lag, which delays.
     """
     (poles, residues), scale = model.terms, frame.scale
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]

@@ -60,11 +60,11 @@ class JointFit(Arrays):
 
 
 class _Slopes(NamedTuple):
-    """Residual (B,) of a release and the change (B, K) of its fitted output with parameters `index` (K,)."""
+    """Residual (B,) of a release and the change (B, K) of its fitted output with parameters `places` (K,)."""
 
     residual: FloatArray
     jacobian: FloatArray
-    index: IntArray
+    places: IntArray
 
 
 @dataclass(frozen=True, repr=False)
@@ -166,7 +166,7 @@ class _Releases:
     @property
     def _outside(self) -> int:
         """Number of the releases' parameters."""
-        return self.own[-1].stop - self.shared
+        return int(self.own[-1].stop) - self.shared
 
     def _explained(self, vector: FloatArray, release: int, move: FloatArray) -> FloatArray:
         """Return products (terms + 1, terms + 1) of the terms' responses and the output, without their means."""
@@ -220,9 +220,9 @@ class _Point:
     def normal(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations."""
         normal, downhill = np.zeros((len(self.parameters),) * 2), np.zeros(len(self.parameters))
-        for residual, jacobian, index in self.parts:
-            normal[np.ix_(index, index)] += jacobian.T @ jacobian
-            downhill[index] += jacobian.T @ residual
+        for residual, jacobian, places in self.parts:
+            normal[np.ix_(places, places)] += jacobian.T @ jacobian
+            downhill[places] += jacobian.T @ residual
         return normal, downhill
 
 
@@ -298,8 +298,8 @@ def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
     structure, shared = releases.structure, releases.shared
     parts = [releases.slopes(vector, release, whole) for release, whole in enumerate(wholes)]
     normal = np.zeros((len(vector),) * 2)
-    for (_, jacobian, index), noise in zip(parts, releases.noise, strict=True):
-        normal[np.ix_(index, index)] += jacobian.T @ jacobian / noise
+    for (_, jacobian, places), noise in zip(parts, releases.noise, strict=True):
+        normal[np.ix_(places, places)] += jacobian.T @ jacobian / noise
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
     normal = normal / np.outer(scale, scale)
@@ -311,12 +311,12 @@ def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
     by_prior = inverse[:shared] * (prior * scale**2) @ inverse[:shared].T
     moves, covariances = [], []
     for release, (part, whole, noise) in enumerate(zip(parts, wholes, releases.noise, strict=True)):
-        gain = inverse[np.ix_(part.index, part.index)] @ part.jacobian.T / noise
+        gain = inverse[np.ix_(part.places, part.places)] @ part.jacobian.T / noise
         fit, fitted = releases.fits[release], whole.value - part.residual
         own = np.asarray(design(fit.problem, fit.vector, whole) @ fit.linear)
         better = np.var(whole.value - own) < np.var(part.residual)
         of_noise = noise_covariance(part.jacobian, gain, whole, own if better else fitted).covariance
-        place = np.argsort(part.index)[:shared]
+        place = np.argsort(part.places)[:shared]
         moves.append(count * slope @ (gain @ part.residual)[place])
         covariances.append(slope @ (count**2 * of_noise[np.ix_(place, place)] + count * by_prior) @ slope.T)
     covariance = np.sum(covariances, axis=0) / count**2

@@ -63,8 +63,8 @@ def decay_modes(
     not matter; `count` of them, or as many as the record supports. A further mode is accepted if its line is
     significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more than
     12 for each of its four parameters, also if the noise is that of the residual in the octaves around it. Hum and
-    drift are no modes: their line must not be in the output before the release. The colour is the density of the residual's blocks over that of white noise of
-    the same variance.
+    drift are no modes: their line must not be in the output before the release. The colour is the density of the
+    residual's blocks over that of white noise of the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -142,7 +142,7 @@ def _in_rest(rest: BlockMeans, trial: OutputErrorFit, omega: float) -> bool:
     wave = np.stack([np.ones(len(phase)), np.cos(phase), np.sin(phase)], axis=1)
     fit = np.linalg.lstsq(wave, rest.value, rcond=None)[0]
     noise = float(np.std(rest.value - wave @ fit)) * np.sqrt(2.0 / len(phase))
-    return float(np.hypot(fit[1], fit[2])) > max(_HUM * ring, 3.0 * noise)
+    return bool(np.hypot(fit[1], fit[2]) > max(_HUM * ring, 3.0 * noise))
 
 
 def _left(decay: BlockMeans, found: OutputErrorFit) -> FloatArray:

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fusion.sensor.model_notices import SHAPE_OF_DEVICE_UNDETERMINED
-from fusion.sensor.step.step_joint import averaged_model, shared_model, unsound
+from fusion.sensor.step.step_joint import averaged_model
 from fusion.sensor.step.step_pool import (
     OF_SHAPES,
     AlternativeModel,
     PooledModel,
-    of_joint,
     of_models,
     pool_models,
     random_effects_mean,
@@ -167,7 +166,8 @@ def test_birge_ratio_of_a_mean():
 
 def test_two_releases_that_hardly_scatter_beyond_their_noise_do_not_lose_all_their_freedom():
     distance = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
-    u, dof = pool_models(of_models([model(VECTOR, SPREAD), model(VECTOR + distance, SPREAD)]), ["1", "1"]).spread(np.eye(10))
+    found = of_models([model(VECTOR, SPREAD), model(VECTOR + distance, SPREAD)])
+    u, dof = pool_models(found, ["1", "1"]).spread(np.eye(10))
     assert u == pytest.approx(1.05 * SPREAD / np.sqrt(2), rel=1e-4)
     assert np.all(dof > 10.0)
     mean, u_mean, one = mean_with_scatter(np.array([0.0, 1.05 * np.sqrt(2.0)]), np.ones(2))

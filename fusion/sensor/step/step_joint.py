@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
@@ -25,6 +25,7 @@ from fusion.sensor.step.step_releases import (
 from shaker.release.joint_fit import JointFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
 from shaker.release.model_order import STEEP
+from shaker.release.record import ReleaseShape
 from shaker.release.step_fit import StepFit, describe_difference
 from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice
@@ -92,11 +93,15 @@ def other_modes(releases: Sequence[StepRelease]) -> dict[str, str]:
 Structure = tuple[int, int]
 
 
-def fit_together(releases: Sequence[StepRelease], shapes: Mapping[str, str], structure: Structure) -> JointFit | None:
+def fit_together(
+    releases: Sequence[StepRelease], shapes: Mapping[str, ReleaseShape], structure: Structure
+) -> JointFit | None:
     """Return the model of all releases, None if there is none; `shapes`: of the load by device."""
     chosen = [_of_shape(release, shapes[release.record.release]) for release in releases]
     solutions = [fit.solution for fit in chosen if fit.solution is not None]
-    own = [s.problem.structure for s in solutions if (s.problem.structure.modes, s.problem.structure.reals) == structure]
+    own = [
+        s.problem.structure for s in solutions if (s.problem.structure.modes, s.problem.structure.reals) == structure
+    ]
     if len(solutions) < len(releases) or not own:
         return None
     try:
@@ -105,7 +110,7 @@ def fit_together(releases: Sequence[StepRelease], shapes: Mapping[str, str], str
         return None
 
 
-def _of_shape(release: StepRelease, shape: str) -> StepFit:
+def _of_shape(release: StepRelease, shape: ReleaseShape) -> StepFit:
     """Return the fit of a shape, the likeliest if there is none."""
     return next((fit for fit in release.shapes if fit.shape == shape), release.shapes[0])
 
@@ -117,7 +122,7 @@ def _samples(release: StepRelease) -> BlockMeans:
     return every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
 
 
-def likeliest_structure(releases: Sequence[StepRelease], shapes: Mapping[str, str]) -> JointFit | None:
+def likeliest_structure(releases: Sequence[StepRelease], shapes: Mapping[str, ReleaseShape]) -> JointFit | None:
     """Return the model of all releases with the structure that they support together, None without one."""
     structures = dict.fromkeys(release.structure for release in releases if release.structure is not None)
     joints = [joint for one in structures if (joint := fit_together(releases, shapes, one)) is not None]
@@ -161,11 +166,16 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
     than 9 are alternatives.
     """
     devices = dict.fromkeys(release.record.release for release in releases)
-    shapes = {device: next(r.shapes[0].shape for r in releases if r.record.release == device) for device in devices}
+    shapes: dict[str, ReleaseShape] = {
+        device: next(r.shapes[0].shape for r in releases if r.record.release == device) for device in devices
+    }
     best = likeliest_structure(releases, shapes)
     if best is None:
         return None
-    structure, others = (len(best.model.frequency_hz), len(best.model.real_hz)), list[tuple[str, str, JointFit]]()
+    structure, others = (
+        (len(best.model.frequency_hz), len(best.model.real_hz)),
+        list[tuple[str, ReleaseShape, JointFit]](),
+    )
     for device in devices:
         of_device = [release for release in releases if release.record.release == device]
         for shape in dict.fromkeys(fit.shape for release in of_device for fit in release.shapes):
@@ -185,8 +195,9 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
         if joint.cost - best.cost < REJECT_CHI2:
             model = AlternativeModel(joint.model, excess_chi2_sigmas(joint.cost - best.cost))
             first = next(release for release in releases if release.record.release == device)
-            pair = replace(_of_shape(first, shapes[device]), model=best.model), replace(
-                _of_shape(first, shape), model=joint.model
+            pair = (
+                replace(_of_shape(first, shapes[device]), model=best.model),
+                replace(_of_shape(first, shape), model=joint.model),
             )
             alternatives.append(Alternative(model, _shape_notice(device, component, pair)))
     return CommonModel(of_joint(best), tuple(alternatives))
@@ -195,7 +206,7 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
 _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a shape is not fitted to all releases
 
 
-def _may_be(releases: Sequence[StepRelease], shape: str, structure: Structure) -> bool:
+def _may_be(releases: Sequence[StepRelease], shape: ReleaseShape, structure: Structure) -> bool:
     """Return whether the own fits of the releases by one device, if of the structure, do not exclude a shape by far."""
     alike = [release for release in releases if release.structure == structure]
     return sum(fit.excess for release in alike for fit in release.shapes if fit.shape == shape) < _HOPELESS
@@ -290,9 +301,7 @@ def _sound(
     return found, refitted, notices
 
 
-def _with_fewer_modes(
-    release: StepRelease, sound: Sequence[StepRelease], settings: StepSettings
-) -> StepRelease | None:
+def _with_fewer_modes(release: StepRelease, sound: Sequence[StepRelease], settings: StepSettings) -> StepRelease | None:
     """Return a release with the most modes, fewer than before, that make its fit sound; None without one."""
     for modes in range((release.structure or (1, 1))[0] - 1, 0, -1):
         if settings.modes is None:
