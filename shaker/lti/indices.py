@@ -222,7 +222,7 @@ def modes(system: LinearSystem) -> tuple[Mode, ...]:
 
 
 def _dominant(oscillating: Sequence[Mode], near: complex | None) -> Mode | None:
-    """Return the mode with the largest oscillation after a step, or that next to a pole."""
+    """Return the mode with the largest oscillation, or that next to a pole."""
     if near is not None:
         return min(oscillating, key=lambda mode: abs(mode.pole - near), default=None)
     return max(oscillating, key=lambda mode: mode.step_share or 0.0, default=None)

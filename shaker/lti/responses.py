@@ -256,10 +256,10 @@ def transient(system: LinearSystem) -> Transient:
 
 
 def settling_turns(system: LinearSystem, tolerance: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return turning points (T,) in s about the settling time, and the response over its final value there.
+    """Return turning points (T,) about the settling time, and the response there.
 
-    From the last of `SETTLING_REACH` times the tolerance to the last of its `SETTLING_REACH`-th part. None without
-    settling.
+    The times are in s, the response over its final value: from the last of `SETTLING_REACH` times the tolerance to the
+    last of its `SETTLING_REACH`-th part. None without settling.
     """
     if not system.stable or not system.static_gain or not len(system.poles) or system.sample_rate_hz is not None:
         return None

@@ -530,7 +530,7 @@ class CoordinateFrame(NamedTuple):
     cancelled: tuple[int, ...] = ()
 
     def cancelling(self, frequency_hz: FloatArray, damping_ratio: FloatArray) -> FloatArray:
-        """Return the numerator that cancels these modes, Π(1 + 2ζs/ω + s²/ω²), by rising powers of s/ω0."""
+        """Return Π(1 + 2ζs/ω + s²/ω²) of these modes by rising powers of s/ω0."""
         product = np.ones(1)
         for mode in self.cancelled:
             ratio = self.scale / (2.0 * np.pi * frequency_hz[mode])
@@ -539,7 +539,7 @@ class CoordinateFrame(NamedTuple):
 
 
 def frame_of(model: ModalModel) -> CoordinateFrame:
-    """Return the frame of a model: all modes but the largest are nearly cancelled, if it has zeros for them."""
+    """Return the frame of a model, with as many cancelled modes as it has zeros."""
     plain, modes = CoordinateFrame(scale_of(model)), len(model.frequency_hz)
     numerator = np.abs(to_coordinates(model, plain)[len(model.terms[0]) :])
     highest = int(np.flatnonzero(numerator > 1e-9 * numerator.max(initial=0.0)).max(initial=0))

@@ -36,7 +36,7 @@ _CONSISTENT = 1e-3  # probability of a larger χ² by chance below which release
 
 
 @dataclass(frozen=True, repr=False)
-class JointFit(Arrays):
+class ReleasesFit(Arrays):
     """A model of several releases.
 
     Each release has its own onset, duration and baseline. The model is that of all of them.
@@ -60,7 +60,7 @@ class JointFit(Arrays):
 
 
 class _Slopes(NamedTuple):
-    """Residual (B,) of a release and the change (B, K) of its fitted output with parameters `places` (K,)."""
+    """Residual (B,) of a release, and its derivatives (B, K) by parameters `places`."""
 
     residual: FloatArray
     jacobian: FloatArray
@@ -136,10 +136,11 @@ class _Releases:
         return vector
 
     def near(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return changes (C, 2) of middle and logarithm of the duration, and `_explained` for each (R, C, ., .).
+        """Return changes (C, 2) of a release, and `_explained` for each (R, C, ., .).
 
-        The ringing of a mode changes its sign where the load changes for a whole period of it. With several modes the
-        best release is therefore sought near that of the own fit. The first change is none.
+        They are those of the middle, and of the logarithm of the duration. The ringing of a mode changes its sign where
+        the load changes for a whole period of it. With several modes the best release is therefore sought near that of
+        the own fit. The first change is none.
         """
         moves = np.zeros((1, 2))
         if self.structure.modes > 1 and all(problem.load.lasting for problem in self.problems):
@@ -152,8 +153,8 @@ class _Releases:
         """Return a vector with the best of `near` for each release, and the best numerator."""
         places = np.append(np.arange(self.structure.terms), -1)
         tables = tables[:, :, places[:, None], places]
-        alike = int(np.argmin([_unexplained(table) for table in tables.sum(axis=0)]))
-        _, chosen = min((_descend(tables, first) for first in {0, alike}), key=lambda one: one[0])
+        same = int(np.argmin([_unexplained(table) for table in tables.sum(axis=0)]))
+        _, chosen = min((_descend(tables, first) for first in {0, same}), key=lambda one: one[0])
         total = np.sum([table[place] for table, place in zip(tables, chosen, strict=True)], axis=0)
         found = np.concatenate([vector[: self.structure.order], _solved(total), vector[-self._outside :]])
         for release, own in enumerate(self.own):
@@ -169,7 +170,7 @@ class _Releases:
         return int(self.own[-1].stop) - self.shared
 
     def _explained(self, vector: FloatArray, release: int, move: FloatArray) -> FloatArray:
-        """Return products (terms + 1, terms + 1) of the terms' responses and the output, without their means."""
+        """Return products (terms + 1, terms + 1) of responses and output without means."""
         problem, samples = self.problems[release], self.problems[release].samples
         nonlinear = self.parts(vector, release)[0].copy()
         nonlinear[self.structure.order :] += move[: len(nonlinear) - self.structure.order]
@@ -178,7 +179,7 @@ class _Releases:
         return np.asarray(rows.T @ rows / self.noise[release])
 
     def prior(self, vector: FloatArray) -> ParameterPrior:
-        """Return a wide prior about a vector; that of a release is the one of its own fit."""
+        """Return a wide prior; that of a release is the one of its own fit."""
         value, u = vector.copy(), np.full(len(vector), np.inf)
         u[2 * self.structure.modes : self.structure.order] = LOOSE[0]
         for fit, own in zip(self.fits, self.own, strict=True):
@@ -188,7 +189,7 @@ class _Releases:
 
 
 @dataclass(frozen=True, repr=False)
-class _Point:
+class _JointPoint:
     """Parameters of all releases, as `levenberg_marquardt` uses them."""
 
     releases: _Releases
@@ -226,7 +227,7 @@ class _Point:
         return normal, downhill
 
 
-def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], structure: PoleStructure) -> JointFit:
+def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], structure: PoleStructure) -> ReleasesFit:
     """Return one model of releases, from their own fits and all their samples.
 
     `structure`: of the model, which at least one of the fits has but for the number of its numerator terms. All
@@ -236,29 +237,29 @@ def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], st
     ------
     ValueError : no fit has the modes and real poles of the structure.
     """
-    alike = [fit for fit in fits if _counts(fit.problem.structure) == _counts(structure)]
-    if not alike:
+    same = [fit for fit in fits if _counts(fit.problem.structure) == _counts(structure)]
+    if not same:
         raise ValueError("fits: expected one with the poles of the structure, found none")
-    poles = np.median([_sorted_poles(fit) for fit in alike], axis=0)
-    terms = [fit.problem.structure.terms for fit in alike]
+    poles = np.median([_sorted_poles(fit) for fit in same], axis=0)
+    terms = [fit.problem.structure.terms for fit in same]
     richest = _Releases(replace(structure, terms=max(*terms, structure.smoothest)), tuple(fits))
     start = richest.start(poles)
     moves, tables = richest.near(start)
-    tried = list[_Point]()
+    tried = list[_JointPoint]()
     for count in range(min(terms), richest.structure.terms + 1):
         releases = _Releases(replace(structure, terms=count), tuple(fits))
         first = releases.best_of(start, moves, tables)
 
-        def at(vector: FloatArray, releases: _Releases = releases) -> _Point | None:
-            return _Point(releases, vector) if releases.allowed(vector) else None
+        def at(vector: FloatArray, releases: _Releases = releases) -> _JointPoint | None:
+            return _JointPoint(releases, vector) if releases.allowed(vector) else None
 
-        tried.append(levenberg_marquardt(at, _Point(releases, first), _RULES, prior=releases.prior(first)).point)
+        tried.append(levenberg_marquardt(at, _JointPoint(releases, first), _RULES, prior=releases.prior(first)).point)
     best = min(tried, key=lambda point: point.loss + TERM * point.releases.structure.terms)
     return _as_joint_fit(best, wholes)
 
 
 def _descend(tables: FloatArray, first: int) -> tuple[float, list[int]]:
-    """Return the least sum of squares left by one choice per release of `tables` (R, C, ., .), and the choices."""
+    """Return the least sum of squares by one choice per release of `tables`."""
     chosen, total = [first] * len(tables), tables[:, first].sum(axis=0)
     for _ in range(_SWEEPS if tables.shape[1] > 1 else 0):
         for release, table in enumerate(tables):
@@ -292,7 +293,7 @@ def _sorted_poles(fit: OutputErrorFit) -> FloatArray:
     return np.asarray(vector[np.concatenate([modes, structure.modes + modes, 2 * structure.modes + reals])])
 
 
-def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
+def _as_joint_fit(point: _JointPoint, wholes: Sequence[BlockMeans]) -> ReleasesFit:
     """Return a solution with the contribution of each release from every sample."""
     releases, vector, count = point.releases, point.parameters, len(wholes)
     structure, shared = releases.structure, releases.shared
@@ -322,7 +323,7 @@ def _as_joint_fit(point: _Point, wholes: Sequence[BlockMeans]) -> JointFit:
     covariance = np.sum(covariances, axis=0) / count**2
     solution = OutputErrorFit(releases.problems[0], nonlinear, linear, point.loss)
     excess = point.loss - sum(fit.square / noise for fit, noise in zip(releases.fits, releases.noise, strict=True))
-    return JointFit(
+    return ReleasesFit(
         modal_model(solution, covariance, 0.0),
         np.array(moves),
         np.array(covariances),

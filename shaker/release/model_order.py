@@ -100,7 +100,7 @@ def _rung(decay: BlockMeans, modes: ComplexArray) -> OutputErrorFit:
 
 
 def _with_another(decay: BlockMeans, rest: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
-    """Return the fit with one additional mode, None if the decay, or the `rest` before, does not support it."""
+    """Return the fit with one additional mode, None if the record does not support it."""
     before = _left(decay, found)
     near = peaks_hz(before, decay.step_s, 1, local=True)
     if not near.size:
@@ -120,7 +120,7 @@ def _with_another(decay: BlockMeans, rest: BlockMeans, found: OutputErrorFit) ->
 
 
 def _density(residual: FloatArray, cycles: float) -> float:
-    """Return the mean power of a residual's lines in the octaves around a frequency, in cycles per sample."""
+    """Return the mean power of lines in the octaves around a frequency."""
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     line = cycles * len(residual)
     low, high = max(1, min(int(line / 2.0), int(line) - 2)), max(int(2.0 * line), int(line) + 3)
@@ -128,9 +128,10 @@ def _density(residual: FloatArray, cycles: float) -> float:
 
 
 def _in_rest(rest: BlockMeans, trial: OutputErrorFit, omega: float) -> bool:
-    """Return whether the output before the release has the line of the mode next to a frequency in rad/s.
+    """Return whether the output before the release has the line of a mode.
 
-    It has it if the line's amplitude there is above `_HUM` of that after the release, and above the noise.
+    The mode is the one next to `omega` in rad/s. The line's amplitude there is above `_HUM` of that after the release,
+    and above the noise.
     """
     if len(rest.value) < 8 or omega * np.ptp(rest.time_s) < np.pi:
         return False

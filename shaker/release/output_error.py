@@ -294,7 +294,7 @@ class FitCovariance(Arrays):
 
 
 class NoiseCovariance(NamedTuple):
-    """Covariance (K, K) of parameters by the noise of a record; `white` and `excess` as in `FitCovariance`."""
+    """Covariance (K, K) of parameters by noise; `white`, `excess` as in `FitCovariance`."""
 
     covariance: FloatArray
     white: bool

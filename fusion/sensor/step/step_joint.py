@@ -1,4 +1,4 @@
-"""One model of the releases of a component: sound releases, structure, shapes, and whether they share a model."""
+"""One model of the releases of a component: sound releases, structure, shapes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import count_text
 from fusion.sensor import model_notices as declared
-from fusion.sensor.step.step_pool import AlternativeModel, Contributions, of_joint, of_models
+from fusion.sensor.step.step_pool import Contributions, RivalModel, of_joint, of_models
 from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import (
     FAILURES,
@@ -22,7 +22,7 @@ from fusion.sensor.step.step_releases import (
     fit_common_shape,
     fit_release,
 )
-from shaker.release.joint_fit import JointFit, fit_jointly
+from shaker.release.joint_fit import ReleasesFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
 from shaker.release.model_order import STEEP
 from shaker.release.record import ReleaseShape
@@ -66,7 +66,7 @@ def unsound(releases: Sequence[StepRelease]) -> dict[str, str]:
 
 
 def _misfit(release: StepRelease) -> float:
-    """Return the residual of a release over its noise at rest, 1 without a fit or noise."""
+    """Return the residual over the noise at rest, 1 without a fit or noise."""
     noise = release.reading.noise
     return 1.0 if release.fit is None or noise <= 0.0 else float(np.std(release.fit.residual)) / noise
 
@@ -95,8 +95,8 @@ Structure = tuple[int, int]
 
 def fit_together(
     releases: Sequence[StepRelease], shapes: Mapping[str, ReleaseShape], structure: Structure
-) -> JointFit | None:
-    """Return the model of all releases, None if there is none; `shapes`: of the load by device."""
+) -> ReleasesFit | None:
+    """Return the model of all releases, None without one; `shapes`: by device."""
     chosen = [_of_shape(release, shapes[release.record.release]) for release in releases]
     solutions = [fit.solution for fit in chosen if fit.solution is not None]
     own = [
@@ -122,14 +122,14 @@ def _samples(release: StepRelease) -> BlockMeans:
     return every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
 
 
-def likeliest_structure(releases: Sequence[StepRelease], shapes: Mapping[str, ReleaseShape]) -> JointFit | None:
-    """Return the model of all releases with the structure that they support together, None without one."""
+def likeliest_structure(releases: Sequence[StepRelease], shapes: Mapping[str, ReleaseShape]) -> ReleasesFit | None:
+    """Return the model of all releases with their likeliest structure, None without one."""
     structures = dict.fromkeys(release.structure for release in releases if release.structure is not None)
     joints = [joint for one in structures if (joint := fit_together(releases, shapes, one)) is not None]
     return min(filter(_is_sound, joints), key=lambda joint: joint.cost, default=None)
 
 
-def _is_sound(joint: JointFit) -> bool:
+def _is_sound(joint: ReleasesFit) -> bool:
     """Return whether no mode grows."""
     return bool(np.all(joint.model.damping_ratio > 0.0))
 
@@ -146,9 +146,9 @@ def common_structure(releases: Sequence[StepRelease]) -> Structure:
 
 
 class Alternative(NamedTuple):
-    """The model if one device released the load in another shape, and its notice if it differs."""
+    """The model for another shape of the load by one device, and its notice."""
 
-    model: AlternativeModel
+    model: RivalModel
     notice: Notice | None
 
 
@@ -174,7 +174,7 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
         return None
     structure, others = (
         (len(best.model.frequency_hz), len(best.model.real_hz)),
-        list[tuple[str, ReleaseShape, JointFit]](),
+        list[tuple[str, ReleaseShape, ReleasesFit]](),
     )
     for device in devices:
         of_device = [release for release in releases if release.record.release == device]
@@ -193,7 +193,7 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
     alternatives = []
     for device, shape, joint in others:
         if joint.cost - best.cost < REJECT_CHI2:
-            model = AlternativeModel(joint.model, excess_chi2_sigmas(joint.cost - best.cost))
+            model = RivalModel(joint.model, excess_chi2_sigmas(joint.cost - best.cost))
             first = next(release for release in releases if release.record.release == device)
             pair = (
                 replace(_of_shape(first, shapes[device]), model=best.model),
@@ -207,13 +207,13 @@ _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a shape 
 
 
 def _may_be(releases: Sequence[StepRelease], shape: ReleaseShape, structure: Structure) -> bool:
-    """Return whether the own fits of the releases by one device, if of the structure, do not exclude a shape by far."""
-    alike = [release for release in releases if release.structure == structure]
-    return sum(fit.excess for release in alike for fit in release.shapes if fit.shape == shape) < _HOPELESS
+    """Return whether the fits of releases, if of the structure, permit a shape."""
+    same = [release for release in releases if release.structure == structure]
+    return sum(fit.excess for release in same for fit in release.shapes if fit.shape == shape) < _HOPELESS
 
 
 def _shape_notice(device: str, component: str, pair: tuple[StepFit, StepFit]) -> Notice | None:
-    """Return the notice of a shape that releases do not determine, None for a small difference."""
+    """Return the notice of an undetermined shape, None for a small difference."""
     difference = describe_difference(*pair)
     if not difference:
         return None
@@ -231,7 +231,7 @@ def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonMod
         mean = of_models([model for model in others if model is not None]).mean_model
         first = releases[undetermined.index(True)]
         notice = _shape_notice(device, component, (first.shapes[0], first.shapes[1]))
-        alternatives.append(Alternative(AlternativeModel(mean, excess_chi2_sigmas(first.excess)), notice))
+        alternatives.append(Alternative(RivalModel(mean, excess_chi2_sigmas(first.excess)), notice))
     return CommonModel(found, tuple(alternatives))
 
 
@@ -239,7 +239,7 @@ def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonMod
 
 
 class FittedReleases(NamedTuple):
-    """The releases of one component with their own fits, and the model of those that are selected.
+    """The fitted releases of one component, and the model of those that are selected.
 
     `notices`: releases that were not fitted, or fitted again; `refitted`: names of the latter; `common`: None without a
     model.
@@ -269,8 +269,8 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
     component = releases[0].record.component
     common = shared_model(chosen, component)
     if common is None:
-        chosen, again, of_structure = _of_one_structure(chosen, settings)
-        common, refitted = averaged_model(chosen, component), [*refitted, *again]
+        chosen, refit, of_structure = _of_one_structure(chosen, settings)
+        common, refitted = averaged_model(chosen, component), [*refitted, *refit]
         notices += [*of_structure, Notice(declared.RELEASES_AVERAGED, component, count=len(chosen))]
     return FittedReleases(_latest(fits, fitted, chosen), chosen, reason, tuple(notices), tuple(refitted), common)
 
@@ -284,51 +284,51 @@ def _latest(*series: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
 def _sound(
     releases: Sequence[StepRelease], settings: StepSettings
 ) -> tuple[list[StepRelease], list[str], list[Notice]]:
-    """Return releases whose fits can be averaged, names of those fitted again for this, and notices of the others."""
+    """Return sound releases, names of those fitted again, and notices of the others."""
     reasons, found, refitted, notices = unsound(releases), list[StepRelease](), list[str](), list[Notice]()
     sound = [release for release in releases if release.name not in reasons]
     for release in releases:
         if release.name not in reasons:
             found.append(release)
             continue
-        again = _with_fewer_modes(release, sound, settings)
-        if again is None:
+        refit = _with_fewer_modes(release, sound, settings)
+        if refit is None:
             where, channel, reason = release.name, release.driven, reasons[release.name]
             notices.append(Notice(declared.RELEASE_NOT_AVERAGED, where, channel=channel, reason=reason))
             continue
-        found.append(again)
+        found.append(refit)
         refitted.append(release.name)
     return found, refitted, notices
 
 
 def _with_fewer_modes(release: StepRelease, sound: Sequence[StepRelease], settings: StepSettings) -> StepRelease | None:
-    """Return a release with the most modes, fewer than before, that make its fit sound; None without one."""
+    """Return a release with as many modes as make its fit sound, None without any."""
     for modes in range((release.structure or (1, 1))[0] - 1, 0, -1):
         if settings.modes is None:
-            again, _ = fit_release(replace(release, fit=None, shapes=()), replace(settings, modes=modes))
-            if again.fit is not None and again.name not in unsound([*sound, again]):
-                return again
+            refit, _ = fit_release(replace(release, fit=None, shapes=()), replace(settings, modes=modes))
+            if refit.fit is not None and refit.name not in unsound([*sound, refit]):
+                return refit
     return None
 
 
 def _of_one_structure(
     releases: Sequence[StepRelease], settings: StepSettings
 ) -> tuple[tuple[StepRelease, ...], list[str], list[Notice]]:
-    """Return releases with models of the structure of most, names of those fitted again, and notices."""
+    """Return releases of the most frequent structure, names of those fitted again, and notices."""
     structure, refitted, notices = common_structure(releases), list[str](), list[Notice]()
     counted = zip(structure, ("mode", "real pole"), strict=True)
     structure_text = " and ".join(count_text(count, kind) if count else f"no {kind}s" for count, kind in counted)
     found = list[StepRelease]()
     for release in releases:
-        again = release
+        refit = release
         if release.structure != structure:
-            again, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
-            if again.structure != structure or again.name in unsound([again]):
+            refit, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
+            if refit.structure != structure or refit.name in unsound([refit]):
                 name, channel = release.name, release.driven
                 notices.append(Notice(declared.STRUCTURE_NOT_FOUND, name, channel=channel, structure=structure_text))
                 continue
             refitted.append(release.name)
-        found.append(again)
+        found.append(refit)
     if refitted:
         notices.append(Notice(declared.RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
     elsewhere = other_modes(found)

@@ -12,7 +12,7 @@ from fusion.estimation.coverage import NamedQuantity, coverage_factor
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_interval, unit_of
 from shaker.lti.system import CoordinateFrame, ModalModel, coordinate_sizes, frame_of, from_coordinates, to_coordinates
-from shaker.release.joint_fit import JointFit
+from shaker.release.joint_fit import ReleasesFit
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 from shakercal._common.propagation import derivatives
@@ -58,7 +58,7 @@ def of_models(models: Sequence[ModalModel]) -> Contributions:
     return Contributions(ordered[0], np.stack(vectors), np.stack(covariances), frame)
 
 
-def of_joint(joint: JointFit) -> Contributions:
+def of_joint(joint: ReleasesFit) -> Contributions:
     """Return the contributions of releases to the model fitted to all of them."""
     model, frame, reals = joint.model, frame_of(joint.model), len(joint.model.real_hz)
     coordinates, slope = model.jacobian(lambda at: to_coordinates(at, frame))
@@ -156,7 +156,7 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> F
     return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full_like(wide, np.inf), where=wide > 0.0)) ** 2)
 
 
-class AlternativeModel(NamedTuple):
+class RivalModel(NamedTuple):
     """The model if one device released the load in another shape; its distance in u."""
 
     model: ModalModel
@@ -168,7 +168,7 @@ def pool_models(
     mountings: Sequence[str],
     u_scale: float = 0.0,
     influences: ModelInfluences = NO_INFLUENCES,
-    alternatives: Sequence[AlternativeModel] = (),
+    alternatives: Sequence[RivalModel] = (),
 ) -> PooledModel:
     """Return the model of R releases with the scatter between them.
 
