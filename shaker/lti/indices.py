@@ -416,11 +416,15 @@ def settling_interval(model: ModalModel, tolerance: float, factor: float) -> tup
             return float(time[-1] if len(outside) else time[0])
         ends, sense = time[outside[-1] : outside[-1] + 2], np.sign(ratio[outside[-1]] - 1.0)
 
-        def beyond(at_s: FloatArray) -> FloatArray:
-            off = sense * (model.step(at_s) / model.static_gain - 1.0)
-            return np.asarray(off - tolerance - sign * reach(at_s))
+        def crossing(level: float) -> FloatArray:
+            def beyond(at_s: FloatArray) -> FloatArray:
+                return np.asarray(sense * (model.step(at_s) / model.static_gain - 1.0) - level)
 
-        signs = beyond(ends)
-        return float(roots_between(beyond, ends[:1], ends[1:])[0]) if signs[0] > 0.0 > signs[1] else float(ends[1])
+            signs = beyond(ends)
+            if not signs[0] > 0.0 > signs[1]:
+                return ends[:1] if signs[0] <= 0.0 else ends[1:]
+            return roots_between(beyond, ends[:1], ends[1:])
+
+        return float(crossing(tolerance + sign * float(reach(crossing(tolerance))[0]))[0])
 
     return last_outside(1.0), last_outside(-1.0)

@@ -28,7 +28,7 @@ from shaker.release.output_error import (
 from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.fitting import LMOptions, ParameterPrior, levenberg_marquardt
 
-_RULES = LMOptions(predicted_decrease=1e-4, max_steps=30, damping_decrease=0.03, min_damping=1e-8)
+_RULES = LMOptions(predicted_decrease=3e-3, actual_decrease=3e-3, max_steps=30, damping_decrease=0.03, min_damping=1e-8)
 _DURATIONS = (1.0, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6)  # of a release, over those of its own fit
 _MIDDLES = (0.0, -0.3, 0.3, -0.6, 0.6)  # shifts of its middle, in radians of the lowest mode
 _SWEEPS = 3  # over the releases in the search of their durations
@@ -209,7 +209,12 @@ class _JointPoint:
     @cached_property
     def loss(self) -> float:
         """χ² of all residuals."""
-        value = float(sum(part.residual @ part.residual for part in self.parts))
+        value, releases = 0.0, self.releases
+        with np.errstate(over="ignore", invalid="ignore"):
+            for release, (problem, noise) in enumerate(zip(releases.problems, releases.noise, strict=True)):
+                nonlinear, linear = releases.parts(self.parameters, release)
+                off = problem.samples.value - design(problem, nonlinear, problem.samples) @ linear
+                value += float(np.sum((off * problem.samples.weight) ** 2)) / noise
         return value if np.isfinite(value) else np.inf
 
     @property
