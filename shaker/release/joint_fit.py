@@ -123,7 +123,7 @@ class _Releases:
         if np.any(np.abs(vector[modes : 2 * modes]) > MAX_DAMPING) or np.any(np.abs(vector[:order]) > 50.0):
             return False
         return all(
-            not problem.load.lasting or np.exp(vector[own.stop - 1]) < np.ptp(problem.samples.time_s)
+            not problem.load.lasting or np.exp(vector[own.start + 2]) < np.ptp(problem.samples.time_s)
             for problem, own in zip(self.problems, self.own, strict=True)
         )
 
@@ -158,7 +158,8 @@ class _Releases:
         total = np.sum([table[place] for table, place in zip(tables, chosen, strict=True)], axis=0)
         found = np.concatenate([vector[: self.structure.order], _solved(total), vector[-self._outside :]])
         for release, own in enumerate(self.own):
-            found[own.start + 1 : own.stop] += moves[chosen[release]][: own.stop - own.start - 1]
+            last = min(own.start + 3, own.stop)
+            found[own.start + 1 : last] += moves[chosen[release]][: last - own.start - 1]
             samples, (nonlinear, linear) = self.problems[release].samples, self.parts(found, release)
             off = samples.value - design(self.problems[release], nonlinear, samples)[:, 1:] @ linear[1:]
             found[own.start] = float(np.average(off, weights=samples.length))
@@ -173,7 +174,8 @@ class _Releases:
         """Return products (terms + 1, terms + 1) of responses and output without means."""
         problem, samples = self.problems[release], self.problems[release].samples
         nonlinear = self.parts(vector, release)[0].copy()
-        nonlinear[self.structure.order :] += move[: len(nonlinear) - self.structure.order]
+        first = self.structure.order
+        nonlinear[first : first + 2] += move[: len(nonlinear) - first]
         rows = np.append(design(problem, nonlinear, samples)[:, 1:], samples.value[:, None], axis=1)
         rows = (rows - np.average(rows, axis=0, weights=samples.length)) * samples.weight[:, None]
         return np.asarray(rows.T @ rows / self.noise[release])
@@ -360,9 +362,9 @@ def _prior_normal(releases: _Releases, vector: FloatArray, scale: FloatArray, no
     reals = np.arange(2 * structure.modes, structure.order)
     of_reals = 2.0 * np.exp(-2.0 * vector[reals])
     for problem, own in zip(releases.problems, releases.own, strict=True):
-        length = own.stop - 1
         squares = np.zeros(len(vector))
         squares[reals] = -of_reals
+        length = min(own.start + 2, own.stop - 1)
         if problem.load.lasting:
             squares[length] = np.exp(2.0 * vector[length]) / 6.0
         if np.count_nonzero(squares) < 2:
