@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,10 +74,15 @@ class RealQuantity:
 
 @dataclass(frozen=True)
 class NamedQuantity(RealQuantity):
-    """A quantity with its `name` in files and its `label` for readers."""
+    """A quantity with its `name` in files and its `label` for readers.
+
+    `low`, `high`: ends of its 95 % interval where that is not symmetric, else NaN; `expanded` includes both.
+    """
 
     name: str
     label: str
+    low: float = field(default=np.nan, kw_only=True)
+    high: float = field(default=np.nan, kw_only=True)
 
 
 # 95 % regions of complex values.

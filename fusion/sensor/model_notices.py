@@ -268,6 +268,22 @@ RELEASES_REFITTED = DeclaredNotice(
     "The releases were fitted again with {structure}, the structure of most releases.",
     link="steps.md",
 )
+RELEASE_NOT_AVERAGED = DeclaredNotice(
+    "SC-870",
+    "warning",
+    "The model of {channel} by this release is not used: {reason}.",
+    effect="The model of the component rests on the other releases.",
+    remedy="Look for drift, hum or a second event in this record.",
+    link="steps.md",
+)
+RELEASES_AVERAGED = DeclaredNotice(
+    "SC-871",
+    "note",
+    "The {count} releases differ by more than their noise, and each has a model of its own.",
+    effect="The model of the component is the mean of these models, and U includes their scatter.",
+    remedy="Compare the models of the releases in `releases.csv`.",
+    link="steps.md",
+)
 METHOD_WITHOUT_MODEL = DeclaredNotice(
     "SC-678",
     "note",

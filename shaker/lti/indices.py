@@ -21,8 +21,9 @@ from shaker.lti.responses import (
     log_slope,
     peak,
     quadrature,
+    roots_between,
     roots_rad,
-    settling_points,
+    settling_turns,
     transient,
 )
 from shaker.lti.system import LinearSystem, ModalModel
@@ -141,7 +142,12 @@ def unit_of(name: str) -> str:
     return UNITS.get(name.rsplit("_", 1)[-1], "")
 
 
-def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: float | None = None) -> Indices:
+def indices(
+    system: LinearSystem,
+    nominal_gain: float = 1.0,
+    sample_rate_hz: float | None = None,
+    dominant: complex | None = None,
+) -> Indices:
     """Return all figures of a continuous or sampled system.
 
     A sampled system's poles are ln(z)·fs, its gain is that on the unit circle, and its times are those of samples.
@@ -154,6 +160,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         Specified gain, default 1.
     sample_rate_hz
         Rate in Hz of the samples from which a continuous system was identified, for notices of its poles.
+    dominant
+        Pole in rad/s next to that of the dominant mode; default: the mode with the largest oscillation after a step.
 
     Returns
     -------
@@ -183,7 +191,7 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         static,
         system.stable,
         oscillating,
-        max(oscillating, key=lambda mode: mode.step_share or 0.0, default=None),
+        _dominant(oscillating, dominant),
         tuple(sorted(float(-p.real / (2 * np.pi)) for p in poles if p.imag == 0)),
         None if top is None else top[0],
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
@@ -211,6 +219,13 @@ def modes(system: LinearSystem) -> tuple[Mode, ...]:
         for s, share in zip(poles.tolist(), shares[upper].tolist(), strict=True)
     ]
     return tuple(sorted(oscillating, key=lambda mode: mode.natural_hz))
+
+
+def _dominant(oscillating: Sequence[Mode], near: complex | None) -> Mode | None:
+    """Return the mode with the largest oscillation, or that next to a pole."""
+    if near is not None:
+        return min(oscillating, key=lambda mode: abs(mode.pole - near), default=None)
+    return max(oscillating, key=lambda mode: mode.step_share or 0.0, default=None)
 
 
 def step_shares(system: LinearSystem) -> FloatArray:
@@ -327,7 +342,7 @@ OVER_NOMINAL = ("band_5_nominal_hz", "band_10_nominal_hz")
 def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], Callable[[ModalModel], FloatArray]]:
     """Return names (Q,) and one function of models whose values change like the figures.
 
-    It is valid close to `model`. Missing figures are left out, and settling times, for which see `settling_u`.
+    It is valid close to `model`. Missing figures are left out, and settling times, for which see `settling_interval`.
     """
     parts: dict[str, tuple[ModelFigure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
     if found.dominant is not None:
@@ -376,25 +391,40 @@ def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Mod
     return parts
 
 
-def settling_u(model: ModalModel, tolerance: float) -> float:
-    """Return the standard uncertainty in s of a settling time, NaN where there is none.
+def settling_interval(model: ModalModel, tolerance: float, factor: float) -> tuple[float, float] | None:
+    """Return the least and the largest settling time in s, None where there is none.
 
-    The crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from or towards the previous turning
-    point. It jumps to the next turning point, half a period away, with the probability P that one just outside moves
-    inside, or the reverse: variance (half period)²·P(1 - P).
+    The response has `factor` standard uncertainties U(t). It surely leaves the tolerance for the last time where |y -
+    1| - U does so, and may leave it until |y - 1| + U no longer does: whole half periods later if a turning point
+    grazes the tolerance.
     """
-    from scipy.special import ndtr
+    found = settling_turns(model.system, tolerance)
+    if found is None:
+        return None
 
-    points = settling_points(model.system, tolerance)
-    if points is None or points[0] == 0:
-        return float("nan")
-    value, covariance = model.propagate(lambda at: np.asarray(at.step(points) / at.static_gain))
-    u = np.sqrt(np.diag(covariance))
-    half = points[2] - points[1]
-    near = model.impulse(points[0] + 1e-5 * half * np.arange(-1, 2)) / model.static_gain
-    slope, bend = abs(near[1]), abs(near[2] - near[0]) / (2e-5 * half)
-    outward, back = slope**2 + 2 * bend * u[0], max(slope**2 - 2 * bend * u[0], 0.0)
-    moved = 0.5 * (np.sqrt(outward) - np.sqrt(back)) / bend if bend > 0 else u[0] / slope
-    margin = np.abs(np.abs(value[1:] - 1) - tolerance)
-    jump = ndtr(-np.divide(margin, u[1:], out=np.full(2, np.inf), where=u[1:] > 0))
-    return float(np.hypot(moved, half * np.sqrt(np.sum(jump * (1 - jump)))))
+    def reach(at_s: FloatArray) -> FloatArray:
+        slope = model.jacobian(lambda at: np.asarray(at.step(at_s) / at.static_gain))[1]
+        square = np.einsum("tp,pq,tq->t", slope, np.asarray(model.covariance), slope, optimize=True)
+        return np.asarray(factor * np.sqrt(np.maximum(square, 0.0)))
+
+    time, ratio = found
+    at_turns = reach(time)
+
+    def last_outside(sign: float) -> float:
+        outside = np.flatnonzero(np.abs(ratio - 1.0) > tolerance + sign * at_turns)
+        if not len(outside) or outside[-1] == len(time) - 1:
+            return float(time[-1] if len(outside) else time[0])
+        ends, sense = time[outside[-1] : outside[-1] + 2], np.sign(ratio[outside[-1]] - 1.0)
+
+        def crossing(level: float) -> FloatArray:
+            def beyond(at_s: FloatArray) -> FloatArray:
+                return np.asarray(sense * (model.step(at_s) / model.static_gain - 1.0) - level)
+
+            signs = beyond(ends)
+            if not signs[0] > 0.0 > signs[1]:
+                return ends[:1] if signs[0] <= 0.0 else ends[1:]
+            return roots_between(beyond, ends[:1], ends[1:])
+
+        return float(crossing(tolerance + sign * float(reach(crossing(tolerance))[0]))[0])
+
+    return last_outside(1.0), last_outside(-1.0)

@@ -216,6 +216,7 @@ SAMPLES = 1 << 22
 BLOCK = 1024  # points of a response computed at a time
 SHORT = 0.01
 """Share by which a turning point may lie beyond the points around it: 1 - cos(π/48) is a fifth of that."""
+SETTLING_REACH = 5.0  # ratio of levels within which turning points are sought about a tolerance; chosen
 FORGOTTEN = 1e-8
 """Share of the final value below which a pole's part no longer decides where the grid's points lie."""
 
@@ -254,13 +255,25 @@ def transient(system: LinearSystem) -> Transient:
     return Transient(over, last - first, settled_2, settled_5, highest, (first, last))
 
 
-def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
-    """Return settling time and the turning points around it (3,) in s, None without settling."""
-    if not system.stable or not system.static_gain or not len(system.poles):
+def settling_turns(system: LinearSystem, tolerance: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return turning points (T,) about the settling time, and the response there.
+
+    The times are in s, the response over its final value: from the last of `SETTLING_REACH` times the tolerance to the
+    last of its `SETTLING_REACH`-th part. None without settling.
+    """
+    if not system.stable or not system.static_gain or not len(system.poles) or system.sample_rate_hz is not None:
         return None
     response = _Response(system)
-    last = response.settling(tolerance)
-    return np.array([*response.times([last]), last.begin, last.end])
+    begin = response.settling(SETTLING_REACH * tolerance).begin
+    end, parts = response.settling(tolerance / SETTLING_REACH).end, []
+    while begin < end:
+        until = begin + BLOCK * response.spacing(begin)
+        parts.append(response.extremes(begin, until))
+        begin = until
+    if not parts:
+        return None
+    time, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return time, value
 
 
 def _sampled_transient(system: LinearSystem, rate: float) -> Transient:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from shakercal._common.propagation import derivatives
 
 Conversion = Literal["tustin", "zoh"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
+_NO_ZERO = 1e-10  # remaining share of a leading coefficient that is rounding: a zero 1e10 times beyond the poles
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
@@ -84,7 +85,7 @@ class LinearSystem(Arrays):
         for i, residue in enumerate(r):
             terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
         total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
-        significant = np.flatnonzero(np.abs(total) > 1e-13 * size)
+        significant = np.flatnonzero(np.abs(total) > _NO_ZERO * size)
         if not len(significant):
             raise ValueError("residues: expected a residue other than 0, found none")
         first = int(significant[0])
@@ -302,7 +303,7 @@ class LinearSystem(Arrays):
 
 def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
     """Return roots (N,) with exact conjugate pairs by size, then real ones; refuse lone ones."""
-    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
+    scale = 1e-9 * np.abs(roots)
     above = roots[roots.imag > scale]
     below = roots[roots.imag < -scale]
     real = roots[np.abs(roots.imag) <= scale].real
@@ -444,9 +445,10 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-        `step` is the shift of a parameter in its standard uncertainties, at most 1 % for real poles.
+        `step`: shift of a parameter in standard uncertainties; at most 1 % of a real pole, and half way to ζ = 1.
         """
-        moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
+        moves, modes = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0)), len(self.damping_ratio)
+        moves[modes : 2 * modes] = np.minimum(moves[modes : 2 * modes], 0.5 * (1.0 - np.abs(self.damping_ratio)))
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.01 * np.abs(self.real_hz))
         return function(self), derivatives(lambda move: function(self.with_vector(self.vector + move)), moves)
@@ -465,19 +467,19 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
         shifts. Frequencies and lags keep their sign and at least `MIN_LAG` of their size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        scale, coordinates, slope = self._linear_coordinates
+        frame, coordinates, slope = self._linear_coordinates
         by = slope @ move
         by[np.abs(by) < 1e-9 * coordinate_sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
         far = coordinates + by
         signed = np.r_[:modes, 2 * modes : 2 * modes + reals]
         far[signed] = coordinates[signed] * np.maximum(far[signed] / coordinates[signed], MIN_LAG)
-        return self.with_vector(from_coordinates(far, modes, reals, scale))
+        return self.with_vector(from_coordinates(far, modes, reals, frame))
 
     @cached_property
-    def _linear_coordinates(self) -> tuple[float, FloatArray, FloatArray]:
-        """Scale, `to_coordinates` (2P,) and their derivatives (2P, P) by the parameters."""
-        scale = scale_of(self)
-        return scale, *self.jacobian(lambda at: to_coordinates(at, scale))
+    def _linear_coordinates(self) -> tuple[CoordinateFrame, FloatArray, FloatArray]:
+        """Frame, `to_coordinates` (2P,) and their derivatives (2P, P) by the parameters."""
+        frame = frame_of(self)
+        return frame, *self.jacobian(lambda at: to_coordinates(at, frame))
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
         """Return the model with relative changes of all frequencies, damping ratios, and the gain.
@@ -485,13 +487,13 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
         Modes and zeros become H(s/(1 + `frequency`)), as with uniformly stiffer springs; their odd powers of s grow by
         `damping_ratio`. Real poles, those of the amplifier, and the static gain are constant unless `gain` is given.
         """
-        modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
+        modes, reals, frame = len(self.frequency_hz), len(self.real_hz), CoordinateFrame(scale_of(self))
         powers = np.arange(2 * modes + reals)
         numerator = (1.0 + gain) * (1.0 + frequency) ** -powers.astype(np.float64)
         numerator *= np.where(powers % 2 == 1, 1.0 + damping_ratio, 1.0)
         poles = np.repeat([1.0 + frequency, 1.0 + damping_ratio, 1.0], [modes, modes, reals])
-        other = to_coordinates(self, scale) * np.concatenate([poles, numerator])
-        return self.with_vector(from_coordinates(other, modes, reals, scale))
+        other = to_coordinates(self, frame) * np.concatenate([poles, numerator])
+        return self.with_vector(from_coordinates(other, modes, reals, frame))
 
     def _require_covariance(self) -> FloatArray:
         """Return the covariance, or raise `ValueError`."""
@@ -521,26 +523,57 @@ def exponentials_between(
 # Coordinates of models for means and large shifts: well determined properties are linear in them.
 
 
-def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
+class CoordinateFrame(NamedTuple):
+    """Frequency `scale` ω0 in rad/s, and numbers of modes that zeros nearly cancel."""
+
+    scale: float
+    cancelled: tuple[int, ...] = ()
+
+    def cancelling(self, frequency_hz: FloatArray, damping_ratio: FloatArray) -> FloatArray:
+        """Return Π(1 + 2ζs/ω + s²/ω²) of these modes by rising powers of s/ω0."""
+        product = np.ones(1)
+        for mode in self.cancelled:
+            ratio = self.scale / (2.0 * np.pi * frequency_hz[mode])
+            product = np.convolve(product, [1.0, 2.0 * damping_ratio[mode] * ratio, ratio**2])
+        return product
+
+
+def frame_of(model: ModalModel) -> CoordinateFrame:
+    """Return the frame of a model, with as many cancelled modes as it has zeros."""
+    plain, modes = CoordinateFrame(scale_of(model)), len(model.frequency_hz)
+    numerator = np.abs(to_coordinates(model, plain)[len(model.terms[0]) :])
+    highest = int(np.flatnonzero(numerator > 1e-9 * numerator.max(initial=0.0)).max(initial=0))
+    by_size = np.argsort(np.abs(model.residue / model.poles[:modes]))
+    return plain._replace(cancelled=tuple(by_size[: max(0, min(modes - 1, highest // 2))].tolist()))
+
+
+def to_coordinates(model: ModalModel, frame: CoordinateFrame) -> FloatArray:
     """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s;
-    n_0 is the static gain. A smooth start has zero for the highest n_k. A real pole far above the modes has a lag near
-    zero.
+    They are [f_n (M), ζ (M), 1/real_hz² (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `frame.scale` in
+    rad/s; n_0 is the static gain. The other n_k are less n_0 times the numerator that cancels the modes
+    `frame.cancelled`: zeros then move with the poles that they nearly cancel. A smooth start has zero for the highest
+    n_k. A record determines the square of a lag, which changes the gain, better than the lag, which delays.
     """
-    poles, residues = model.terms
+    (poles, residues), scale = model.terms, frame.scale
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
-    numerator = np.sum(parts, axis=0) / np.prod(-poles / scale)
-    return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
+    numerator = (np.sum(parts, axis=0) / np.prod(-poles / scale)).real
+    near = frame.cancelling(model.frequency_hz, model.damping_ratio)
+    numerator[1 : len(near)] -= numerator[0] * near[1:]
+    squares = np.sign(model.real_hz) / model.real_hz**2
+    return np.concatenate([model.frequency_hz, model.damping_ratio, squares, numerator])
 
 
-def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
+def from_coordinates(coordinates: FloatArray, modes: int, reals: int, frame: CoordinateFrame) -> FloatArray:
     """Return the vector (2P,) of a `ModalModel` from `to_coordinates`, with |ζ| < 1."""
-    order = 2 * modes + reals
-    frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
+    order, scale = 2 * modes + reals, frame.scale
+    frequency, damping, squares, above = np.split(coordinates, [modes, 2 * modes, order])
     damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)
-    frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
-    unscaled, _ = frame.terms
+    near, numerator = frame.cancelling(frequency, damping), above.copy()
+    numerator[1 : len(near)] += numerator[0] * near[1:]
+    real = np.sign(squares) / np.sqrt(np.abs(squares))
+    blank = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), real, np.zeros(reals))
+    unscaled, _ = blank.terms
     poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
     # residues over the scale of Σ n_k x^k/Π(1 - x/p)
     retained = [*range(modes), *range(2 * modes, order)]

@@ -25,7 +25,8 @@ _TERMS = (("frequency", 2), ("frequency", 1), ("damping", 1), ("damping", -1))
 _SIGNIFICANT = 30.0  # χ² by one of four terms; noise alone exceeds it once in 10^7
 _LEAST_AMPLITUDE = 0.05  # amplitude over the first below which a decay is left out
 _RANGE = 0.1  # smallest amplitude over the first for which changes are stated
-_EVENLY = np.sqrt(3.0)  # half range over the standard deviation of an even distribution
+EVENLY = float(np.sqrt(3.0))
+"""Half range over the standard deviation of an even distribution."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +45,21 @@ class AmplitudeDependence:
     shifts: FloatArray
     square_share: float
 
+    def changes(self, model: ModalModel) -> list[FloatArray]:
+        """Return the changes (P,) of parameters to small and to first amplitudes."""
+        modes, found = len(model.frequency_hz), list[FloatArray]()
+        for log_omega, zeta in self.shifts:
+            shift = np.zeros(len(model.vector))
+            shift[self.mode], shift[modes + self.mode] = log_omega * model.frequency_hz[self.mode], zeta
+            found.append(parameter_change(model, shift))
+        return found
+
     def widen(self, model: ModalModel) -> ModalModel:
         """Return a model whose covariance includes small and first amplitudes."""
         if model.covariance is None:
             return model
-        covariance, modes = model.covariance, len(model.frequency_hz)
-        for log_omega, zeta in self.shifts / _EVENLY:
-            shift = np.zeros(len(model.vector))
-            shift[self.mode], shift[modes + self.mode] = log_omega * model.frequency_hz[self.mode], zeta
-            change = parameter_change(model, shift)
-            covariance = covariance + np.outer(change, change)
-        return replace(model, covariance=covariance)
+        parts = [np.outer(change, change) / EVENLY**2 for change in self.changes(model)]
+        return replace(model, covariance=model.covariance + np.sum(parts, axis=0))
 
     def notice(self, model: ModalModel, unit: str, where: str) -> Notice:
         """Return the notice of the dependence."""

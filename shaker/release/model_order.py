@@ -50,7 +50,8 @@ from shakercal._common.notices import Notice
 
 MOST = 4  # largest number of modes by the rule
 CLEAR = 12.0  # fall of B·ln(sum of squares) by a significant parameter
-_STEEP = 0.5  # damping ratio above which a further mode is a disturbance
+_HUM = 0.3  # amplitude before the release over that after it from which a line is hum or drift
+STEEP = 0.5  # damping ratio above which a further mode is a disturbance
 
 
 def decay_modes(
@@ -61,8 +62,9 @@ def decay_modes(
     Exponentials with free amplitudes and a level are fitted to the decay only, so that the release and fast poles do
     not matter; `count` of them, or as many as the record supports. A further mode is accepted if its line is
     significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more than
-    12 for each of its four parameters. The colour is the density of the residual's blocks over that of white noise of
-    the same variance.
+    12 for each of its four parameters, also if the noise is that of the residual in the octaves around it. Hum and
+    drift are no modes: their line must not be in the output before the release. The colour is the density of the
+    residual's blocks over that of white noise of the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -74,7 +76,11 @@ def decay_modes(
     find = matrix_pencil if method == "pencil" else instrumental_variables
     modes = start_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)
     rung = _rung(decay, modes)
-    while count is None and rung.problem.structure.modes < MOST and (more := _with_another(decay, rung)) is not None:
+    rest = whole.between(-np.inf, reading.onset_s - 3.0 * reading.u_onset_s)
+    while count is None and rung.problem.structure.modes < MOST:
+        more = _with_another(decay, rest, rung)
+        if more is None:
+            break
         rung = more
     poles = rung.problem.structure.poles(rung.vector)
     colour = rung.variance / max(1e-300, float(np.var(_left(decay, rung))))
@@ -93,21 +99,51 @@ def _rung(decay: BlockMeans, modes: ComplexArray) -> OutputErrorFit:
     return solve(OutputErrorProblem(structure, ReleaseLoad("step", 1.0), samples, start, pinned), start)
 
 
-def _with_another(decay: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
-    """Return the fit with one additional mode, None if the decay does not support it."""
-    rest = replace(decay, value=_left(decay, found))
-    near = peaks_hz(rest.value, rest.step_s, 1, local=True)
+def _with_another(decay: BlockMeans, rest: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
+    """Return the fit with one additional mode, None if the record does not support it."""
+    before = _left(decay, found)
+    near = peaks_hz(before, decay.step_s, 1, local=True)
     if not near.size:
         return None
-    values, coarse = decimate(rest.value, rest.step_s, float(near[0]))
+    values, coarse = decimate(before, decay.step_s, float(near[0]))
     extra = start_poles(matrix_pencil(values - values.mean(), coarse, 3), 1, near)
     modes = np.concatenate([found.problem.structure.poles(found.vector), extra])
     modes = modes[np.argsort(np.abs(modes))]
     trial = _rung(decay, modes)
     zeta = trial.vector[len(modes) : 2 * len(modes)]
-    squares = [float(rest @ rest) for rest in (_left(decay, found), _left(decay, trial))]
-    gain = trial.size * float(np.log(squares[0] / squares[1]))
-    return trial if gain > 4 * CLEAR and np.all((zeta > 0) & (zeta < _STEEP)) else None
+    after = _left(decay, trial)
+    squares = float(before @ before), float(after @ after)
+    if not np.all((zeta > 0) & (zeta < STEEP)) or trial.size * float(np.log(squares[0] / squares[1])) <= 4 * CLEAR:
+        return None
+    gain = (squares[0] - squares[1]) / max(1e-300, _density(after, decay.step_s * float(near[0])))
+    return trial if gain > 4 * CLEAR and not _in_rest(rest, trial, 2 * np.pi * float(near[0])) else None
+
+
+def _density(residual: FloatArray, cycles: float) -> float:
+    """Return the mean power of lines in the octaves around a frequency."""
+    power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
+    line = cycles * len(residual)
+    low, high = max(1, min(int(line / 2.0), int(line) - 2)), max(int(2.0 * line), int(line) + 3)
+    return float(np.mean(power[low:high]))
+
+
+def _in_rest(rest: BlockMeans, trial: OutputErrorFit, omega: float) -> bool:
+    """Return whether the output before the release has the line of a mode.
+
+    The mode is the one next to `omega` in rad/s. The line's amplitude there is above `_HUM` of that after the release,
+    and above the noise.
+    """
+    if len(rest.value) < 8 or omega * np.ptp(rest.time_s) < np.pi:
+        return False
+    structure = trial.problem.structure
+    poles = structure.poles(trial.vector)
+    mode = int(np.argmin(np.abs(np.abs(poles) - omega)))
+    ring = 2.0 * abs((structure.shares(trial.vector) @ trial.linear[1:])[mode] / poles[mode])
+    phase = abs(poles[mode]) * rest.time_s
+    wave = np.stack([np.ones(len(phase)), np.cos(phase), np.sin(phase)], axis=1)
+    fit = np.linalg.lstsq(wave, rest.value, rcond=None)[0]
+    noise = float(np.std(rest.value - wave @ fit)) * np.sqrt(2.0 / len(phase))
+    return bool(np.hypot(fit[1], fit[2]) > max(_HUM * ring, 3.0 * noise))
 
 
 def _left(decay: BlockMeans, found: OutputErrorFit) -> FloatArray:
@@ -121,7 +157,7 @@ LENGTHS = (0.25, 0.6, 1.2)  # trial lengths of the release, in rise times
 TERM = 8.0  # fall of B·ln(sum of squares) by a significant numerator term
 _REAL = (1.5, 4.0, 10.0)  # trial real poles, in frequencies of the lowest mode
 _LAG = (0.0, 0.08, 0.17, 0.25)  # trial delays of the half-way point after the middle of the release, in periods
-_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
+LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
 
 
 def start_vectors(
@@ -151,8 +187,8 @@ def with_loose_prior(
     """
     modes, order = problem.structure.modes, problem.structure.order
     wide = np.full(len(vector), np.inf)
-    wide[2 * modes : order] = _LOOSE[0]
-    wide[order : order + 2] = np.array([1.0 / highest_hz, _LOOSE[1]])[: len(vector) - order]
+    wide[2 * modes : order] = LOOSE[0]
+    wide[order : order + 2] = np.array([1.0 / highest_hz, LOOSE[1]])[: len(vector) - order]
     return replace(problem, prior=vector, u_prior=wide), vector
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,7 +110,7 @@ class PoleStructure:
 
 _STEPS = 60  # more than any solvable case has needed
 _ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step has no effect
-_STEEPEST = 0.995  # largest |ζ| of an oscillating mode
+MAX_DAMPING = 0.995  # largest |ζ| of an oscillating mode
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,7 +255,7 @@ def solve(
 
     def at(vector: FloatArray) -> SeparablePoint | None:
         """Return the best baseline and numerator for given poles and release, None if impossible."""
-        steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
+        steep = np.any(np.abs(vector[modes : 2 * modes]) > MAX_DAMPING)
         if steep or np.any(np.abs(vector[:order]) > 50.0) or np.any(vector[lengths] > longest):
             return None
         if problem.load.shape == "stages" and not 0.0 < vector[-2] < 1.0:
@@ -338,11 +339,38 @@ class FitCovariance(Arrays):
     excess: float
 
 
+class NoiseCovariance(NamedTuple):
+    """Covariance (K, K) of parameters by noise; `white`, `excess` as in `FitCovariance`."""
+
+    covariance: FloatArray
+    white: bool
+    excess: float
+
+
+def noise_covariance(columns_: FloatArray, gain: FloatArray, whole: BlockMeans, fitted: FloatArray) -> NoiseCovariance:
+    """Return the covariance of parameters `gain` @ samples by the noise of a fit's residual.
+
+    `columns_` (N, K): change of the fitted output with the parameters. If the residual is not white: G·R·Gᵀ with R of
+    its correlation through a Parzen window. A converter whose step is not dithered by noise has a constant error at a
+    constant level, added for both levels.
+    """
+    residual = whole.value - fitted
+    freedom = max(1, len(residual) - columns_.shape[1])
+    variance = float(residual @ residual) / freedom
+    white = is_white(residual)
+    covariance, excess = gain @ gain.T * variance, 1.0
+    if not white:
+        coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
+        excess = float(coloured[0, 0] / max(1e-300, covariance[0, 0]))
+        slow, taken = slow_noise(columns_, residual, gain, variance)
+        covariance = coloured + (taken * slow) @ taken.T
+    return NoiseCovariance(covariance + _converter(whole, residual, gain, fitted), white, excess)
+
+
 def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance:
     """Return the covariance of a fit's parameters from the residual at every sample.
 
-    If the residual is not white: (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
-    whose step is not dithered by noise has a constant error at a constant level, added for both levels.
+    It contains the noise of the residual (`noise_covariance`) and the prior knowledge of the fit.
     """
     problem = solution.problem
     linear_part, answered = columns(problem, solution.vector, whole)
@@ -355,18 +383,9 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
     scale[scale == 0] = 1.0
     scaled = jacobian / scale
     prior = _prior_normal(solution, scale, scaled.T @ scaled, variance)
-    normal = scaled.T @ scaled + prior * variance
-    inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
-    gain = inverse @ scaled.T
-    white = is_white(residual)
-    middle = inverse * variance
-    excess = 1.0
-    if not white:
-        coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
-        excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
-        slow, taken = slow_noise(scaled, residual, gain, variance)
-        middle = coloured + (taken * slow) @ taken.T + inverse @ (prior * variance**2) @ inverse
-    middle = middle + _converter(whole, residual, gain, fitted)
+    inverse = np.linalg.pinv(scaled.T @ scaled + prior * variance, rcond=1e-14, hermitian=True)
+    noise = noise_covariance(scaled, inverse @ scaled.T, whole, fitted)
+    middle = noise.covariance + inverse @ (prior * variance**2) @ inverse
     covariance = middle / np.outer(scale, scale)
     u_onset_s = u_release_s = 0.0
     if problem.load.timed:
@@ -376,8 +395,9 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
             lengths = slice(order + 1, len(solution.vector), 2)
             rows[:, lengths] = np.array([[-0.5], [1.0]]) * np.exp(solution.vector[lengths])
         u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
-    slope = _model_slopes(problem.structure, solution.vector, solution.linear)
-    return FitCovariance(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
+    slope = model_slopes(problem.structure, solution.vector, solution.linear)
+    of_model = slope @ covariance @ slope.T
+    return FitCovariance(of_model, u_onset_s, u_release_s, fitted, residual, noise.white, noise.excess)
 
 
 def modal_model(solution: OutputErrorFit, covariance: FloatArray, u_amplitude: float) -> ModalModel:
@@ -450,7 +470,7 @@ def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted
     return np.asarray(error**2 * levels @ levels.T)
 
 
-def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
+def model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
     """Return derivatives (P, K + 1 + terms) of a model by the fit's parameters."""
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)

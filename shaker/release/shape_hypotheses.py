@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.lti.system import ModalModel, coordinate_sizes, from_coordinates, scale_of, to_coordinates
+from shaker.lti.system import ModalModel, coordinate_sizes, frame_of, from_coordinates, to_coordinates
 from shaker.release.load_response import MOMENTS
 from shaker.release.model_order import TERM, add_numerator_terms, penalised_chi_squared, with_loose_prior
 from shaker.release.output_error import OutputErrorFit, design, solve, squares
@@ -139,10 +139,10 @@ def release_is_slower(fit: OutputErrorFit) -> bool:
 
 def with_both_lags(model: ModalModel, release_s: float) -> ModalModel:
     """Return a model whose slowest real pole has also the release's lag."""
-    scale, modes, reals = scale_of(model), len(model.frequency_hz), len(model.real_hz)
-    coordinates, slowest = to_coordinates(model, scale), 2 * modes + int(np.argmin(model.real_hz))
-    coordinates[slowest] = np.hypot(coordinates[slowest], np.pi * release_s)
-    return model.with_vector(from_coordinates(coordinates, modes, reals, scale))
+    frame, modes, reals = frame_of(model), len(model.frequency_hz), len(model.real_hz)
+    coordinates, slowest = to_coordinates(model, frame), 2 * modes + int(np.argmin(model.real_hz))
+    coordinates[slowest] += (np.pi * release_s) ** 2
+    return model.with_vector(from_coordinates(coordinates, modes, reals, frame))
 
 
 def _slowest(fit: OutputErrorFit) -> int:
@@ -156,7 +156,6 @@ def _slowest(fit: OutputErrorFit) -> int:
 _EVENLY = np.sqrt(3.0)  # half range over the standard deviation of an even distribution (JCGM 100, 4.3.7)
 _FIRST_ORDER = 1e-3  # share of frequencies and lags by which they are moved for derivatives
 _SAME = 1e-3  # share of a hypothesis that is left beside farther ones, below which it is not another one
-_NEAR_ZERO = 0.1  # share of the other lag at which a lag counts at least, where bands are extrapolated by its square
 
 
 class Alternative(NamedTuple):
@@ -180,14 +179,14 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
     """
     if first.covariance is None:
         return []
-    scale, modes, reals = scale_of(first), len(first.frequency_hz), len(first.real_hz)
-    here, slope = first.jacobian(lambda at: to_coordinates(at, scale))
+    frame, modes, reals = frame_of(first), len(first.frequency_hz), len(first.real_hz)
+    here, slope = first.jacobian(lambda at: to_coordinates(at, frame))
     size = np.sqrt(np.maximum(np.diag(slope @ first.covariance @ slope.T), 0.0)) + 1e-9 * coordinate_sizes(here, reals)
     least, found = _EVENLY if lags else NORMAL_QUANTILE_95, list[tuple[int, FloatArray, float]]()
     for number, (model, excess) in enumerate(others):
         if excess < REJECT_CHI2 and len(model.vector) == len(first.vector):
             distance = float(np.sqrt(max(excess, least**2)))
-            shift = _linear_shift(here, to_coordinates(model, scale), modes, reals)
+            shift = _shift(here, to_coordinates(model, frame), modes, reals)
             found.append((number, shift / size / distance, distance))
     found.sort(key=lambda one: -float(one[1] @ one[1]))
     result, directions = list[Alternative](), list[FloatArray]()
@@ -197,28 +196,29 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
             continue
         directions.append(rest)
         moved = rest * size * distance
-        end = first.with_vector(from_coordinates(here + moved, modes, reals, scale))
+        end = first.with_vector(from_coordinates(here + moved, modes, reals, frame))
         result.append(Alternative(number, end, distance, parameter_change(first, moved)))
     return result
 
 
 def parameter_change(model: ModalModel, shift: FloatArray) -> FloatArray:
     """Return the first-order change (P,) of parameters for a shift of coordinates (P,)."""
-    scale, modes, reals = scale_of(model), len(model.frequency_hz), len(model.real_hz)
-    here, poles = to_coordinates(model, scale), slice(0, 2 * modes + reals)
+    frame, modes, reals = frame_of(model), len(model.frequency_hz), len(model.real_hz)
+    here, poles = to_coordinates(model, frame), slice(0, 2 * modes + reals)
     step = _FIRST_ORDER / max(1.0, float(np.max(np.abs(shift[poles] / here[poles]))))
-    ahead, behind = (from_coordinates(here + by * shift, modes, reals, scale) for by in (step, -step))
+    ahead, behind = (from_coordinates(here + by * shift, modes, reals, frame) for by in (step, -step))
     return np.asarray((ahead - behind) / (2.0 * step))
 
 
-def _linear_shift(here: FloatArray, there: FloatArray, modes: int, reals: int) -> FloatArray:
-    """Return the shift between coordinates, lags by rank and as bands extrapolate them.
+def _shift(here: FloatArray, there: FloatArray, modes: int, reals: int) -> FloatArray:
+    """Return the shift between coordinates, lags by rank.
 
-    Bands and overshoot follow the square of a lag: for a larger lag the shift is that of the squares at the first.
+    The coordinates are squares of lags, which bands follow. A smaller lag has the shift whose first-order effect is the
+    difference of the lags.
     """
     lags, shift = slice(2 * modes, 2 * modes + reals), there - here
-    rank = np.argsort(np.argsort(here[lags]))
-    own, other = here[lags], np.sort(there[lags])[rank]
-    by_square = (other**2 - own**2) / (2.0 * np.maximum(own, _NEAR_ZERO * other))
-    shift[lags] = np.where(other > own, np.maximum(by_square, other - own), other - own)
+    own, rank = here[lags], np.argsort(np.argsort(here[lags]))
+    other = np.sort(there[lags])[rank]
+    smaller = 2.0 * np.sqrt(np.abs(own)) * (np.sqrt(np.abs(other)) - np.sqrt(np.abs(own)))
+    shift[lags] = np.where(other > own, other - own, smaller)
     return shift

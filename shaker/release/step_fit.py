@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -47,6 +47,9 @@ from shakercal._common.notices import Notice
 
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 Attribution = Literal["fast chain", "slow chain", "both in the chain"]
+SLOW_CHAIN: Final = "slow chain"
+BOTH_IN_CHAIN: Final = "both in the chain"
+"""Attributions of the lags of an exponential release besides that of the longer one to the release."""
 """Which lag of an exponential release is that of the chain; both leave the same record."""
 
 
@@ -153,7 +156,8 @@ ReleaseOption = Literal["step", "ramp", "smooth", "exponential", "measured"]
 _EXPLAINED = 0.8  # share of what further modes explain that a drift with the amplitude must explain to replace them
 _SHORTEST = 0.02  # lag of a stated chain, in radians of the highest peak, below which it has no effect
 _EXACT = 1e-3  # least relative standard uncertainty of a stated lag
-_PREFERENCE = 4.0  # χ² by which an exponential release must be likelier, since it attributes lags otherwise
+PREFERENCE = 4.0
+"""χ² by which an exponential release must be likelier, since it attributes lags otherwise."""
 
 
 def fit_step(
@@ -275,11 +279,9 @@ def _attributed(fit: StepFit, record: StepRecord, reading: ReleaseReading) -> li
         return [fit]
     other = replace(as_step_fit(record, reading, exchange_lags(solution), fit.method, 0.0), duration_s=fit.duration_s)
     fast, slow = (fit, other) if release_is_slower(solution) else (other, fit)
-    fast, slow = replace(fast, excess=fit.excess), replace(slow, excess=fit.excess, attribution="slow chain")
+    fast, slow = replace(fast, excess=fit.excess), replace(slow, excess=fit.excess, attribution=SLOW_CHAIN)
     assert slow.model is not None
-    both = replace(
-        slow, model=with_both_lags(slow.model, slow.release_s), attribution="both in the chain", solution=None
-    )
+    both = replace(slow, model=with_both_lags(slow.model, slow.release_s), attribution=BOTH_IN_CHAIN, solution=None)
     return [fast, slow, both]
 
 
@@ -290,7 +292,7 @@ def order_hypotheses(fits: Sequence[StepFit]) -> tuple[StepFit, ...]:
     than 4.
     """
     doubtful = any(fit.attribution != "fast chain" for fit in fits)
-    cost = [fit.excess + _PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
+    cost = [fit.excess + PREFERENCE * (doubtful and fit.shape == "exponential") for fit in fits]
     ordered = [fits[index] for index in np.argsort(cost, kind="stable")]
     comparable = [fit for fit in ordered if len(_parameters(fit)) == len(_parameters(ordered[0]))]
     return tuple(replace(fit, excess=max(0.0, fit.excess - ordered[0].excess)) for fit in comparable)

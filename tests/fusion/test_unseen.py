@@ -18,7 +18,7 @@ from fusion.sensor.compensate.compensation_evaluation import evaluate_compensati
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import ModelEntry, ModelsFile, models_text
 from fusion.sensor.model_notices import MODEL_COVERAGE
-from fusion.sensor.step.step_records import OF_RELEASES, index_quantities, pool_models
+from fusion.sensor.step.step_pool import OF_RELEASES, index_quantities, of_models, pool_models
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.decoupling.model import MultiModel
 from shaker.lti.indices import indices
@@ -100,7 +100,7 @@ def test_every_output_of_several_moves_alike():
 def test_what_is_stated_is_in_every_number_of_a_model():
     """With f = sqrt(k/m)/2π: u of f as stated, of a band as it moves with the springs, of the gain by both causes."""
     model = modal(mechanics(SPRING, DAMPER, 2.0))
-    found = index_quantities(pool_models([model], ["1"], 0.0, ONE), None, "V/N", 50e3, ONE)
+    found = index_quantities(pool_models(of_models([model]), ["1"], 0.0, ONE), None, "V/N", 50e3, ONE)
     number = {one.name: one for one in found.quantities}
     hertz = np.sqrt(SPRING / MASS) / (2 * np.pi)
     assert number["natural_hz"].value == pytest.approx(hertz, rel=1e-9)
@@ -113,7 +113,7 @@ def test_what_is_stated_is_in_every_number_of_a_model():
             parts = [own[one.name] for own in found.budget.values()]
             assert np.linalg.norm(parts) == pytest.approx(one.u, rel=1e-6), one.name
     band = number["band_10_hz"]
-    stiff = index_quantities(pool_models([model.altered(1e-3)], ["1"]), None, "V/N", 50e3).quantities
+    stiff = index_quantities(pool_models(of_models([model.altered(1e-3)]), ["1"]), None, "V/N", 50e3).quantities
     moved = next(one.value for one in stiff if one.name == "band_10_hz") - band.value
     assert found.budget["mounting anew"]["band_10_hz"] == pytest.approx(moved, rel=0.03)
 
@@ -149,7 +149,7 @@ def stored(folder: Path, model: ModalModel, **more: object) -> Path:
 
 def test_numbers_of_a_filter_rest_on_what_is_stated_and_on_degrees_of_freedom(tmp_path):
     plain = modal(mechanics(SPRING, DAMPER, 2.0))
-    stated = pool_models([plain], ["1"], 0.0, ONE).model
+    stated = pool_models(of_models([plain]), ["1"], 0.0, ONE).model
     wish = CompensationSettings(frequency_hz=1000.0, damping_ratio=0.6)
 
     def made(model: ModalModel, **more: object):

@@ -468,12 +468,14 @@ def _figures(design: Compensation, subject: CompensationSubject, mass: float | N
     uncertainty, including poles and zeros that no filter cancels.
     """
 
-    def values(system: LinearSystem) -> FloatArray:
-        seen = indices(system if alone else system.times(design.system)).figures().values()
-        return np.array([np.nan if value is None else value for value in seen])
-
     model, sensor = subject.model, design.sensor
     found = indices(sensor.system if alone else design.compensated, 1.0 if alone else design.compensated.static_gain)
+    dominant = None if found.dominant is None else found.dominant.pole
+
+    def values(system: LinearSystem) -> FloatArray:
+        seen = indices(system if alone else system.times(design.system), dominant=dominant).figures().values()
+        return np.array([np.nan if value is None else value for value in seen])
+
     names = tuple(LABELS)
     if isinstance(model, ModalModel) and model.covariance is not None:
         # Steps of half an uncertainty: an index that jumps from one turning point to the next does so within it.

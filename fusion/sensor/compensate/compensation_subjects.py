@@ -21,7 +21,7 @@ from fusion.sensor.model_files import (
     read_model_file,
     read_models,
 )
-from fusion.sensor.step.step_records import effective_dof
+from fusion.sensor.step.step_pool import effective_dof
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
 from shaker.compensation.filter import (
     Compensation,

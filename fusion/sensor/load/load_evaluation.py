@@ -23,7 +23,7 @@ from fusion.recording.values import wrong_size
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
 from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import parameter_units
-from fusion.sensor.step.step_records import effective_dof
+from fusion.sensor.step.step_pool import effective_dof
 from fusion.sensor.step.step_releases import StepRelease, check_driven_output, read_recording
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, coverage_notice, stated_influences
 from shaker.labels import LOAD_COMPONENTS

@@ -13,15 +13,15 @@ from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
+from fusion.sensor.step.step_joint import fit_component
+from fusion.sensor.step.step_pool import index_quantities, parameter_quantities, pool_models
+from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import (
     StepComponent,
     StepEvaluation,
     StepRelease,
-    alternative_shapes,
     check_driven_output,
     compare_methods,
-    fit_component,
     group_by_device,
     method_row,
     read_recording,
@@ -58,19 +58,19 @@ def evaluate_component(
     if settings.method != "all" or not used:
         rows = tuple(method_row(release.fit, release.name) for release in result.releases if release.fit is not None)
         result = replace(result, methods=rows)
-    if not used:
+    if not used or fitted.common is None:
         notices.append(Notice(declared.COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
-    models = [release.shapes[0].model for release in used if release.shapes[0].model is not None]
     mountings = [release.manifest.mounting for release in used]
-    influences, others = stated_influences(manifest.rig, mountings), [*alternative_shapes(used, component)]
-    alternatives = [models_of_shape for models_of_shape, _ in others]
-    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), influences, alternatives)
+    influences, others = stated_influences(manifest.rig, mountings), fitted.common.alternatives
+    alternatives = [other.model for other in others]
+    u_scale, contributions = scale_uncertainty(manifest, channel), fitted.common.contributions
+    pooled = pool_models(contributions, mountings, u_scale, influences, alternatives)
     stated, _ = stated_gain(manifest, channel, component)
     found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, influences)
     notices += [n.at(f"{r.name}: {r.driven}") for r, fit in fits for n in fit.notices]
-    notices += [notice for _, notice in others if notice is not None]
+    notices += [other.notice for other in others if other.notice is not None]
     entry = ModelEntry(
         channel=channel,
         component=component,

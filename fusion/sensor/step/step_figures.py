@@ -23,7 +23,7 @@ from fusion.report.figure import (
     frequency_axis,
     power_of_ten,
 )
-from fusion.sensor.step.step_records import PooledModel
+from fusion.sensor.step.step_pool import PooledModel
 from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
 from shaker.labels import typeset
 from shaker.lti.system import ModalModel

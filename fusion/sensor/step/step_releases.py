@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
-from fusion.base import CommandEvaluation, count_text
+from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.step.step_records import (
-    AlternativeModels,
-    PooledModel,
-    StepSettings,
-    effective_dof,
-    output_entries,
-    read_step,
-)
+from fusion.sensor.step.step_pool import PooledModel, effective_dof
+from fusion.sensor.step.step_records import StepSettings, output_entries, read_step
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
@@ -36,15 +29,12 @@ from shaker.release.step_fit import (
     Method,
     StepFit,
     alternative_fits,
-    describe_difference,
     fit_shapes,
-    lag_notice,
     merge_alternatives,
     order_hypotheses,
 )
 from shaker.release.step_methods import METHODS, fit_all_methods
 from shakercal._common.arrays import FloatArray
-from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.notices import Notice
 
 # Parts of evaluated step responses.
@@ -298,31 +288,7 @@ def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]
     return tuple(map(with_likeliest_shape, releases))
 
 
-def alternative_shapes(
-    releases: Sequence[StepRelease], component: str
-) -> Iterator[tuple[AlternativeModels, Notice | None]]:
-    """Yield models of other hypotheses of undetermined devices, each with a notice if different."""
-    for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
-        ends = [
-            {fit.hypothesis: end for fit, end in alternative_fits(r.shapes)} if r.record.release == device else {}
-            for r in releases
-        ]
-        first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
-        lag = lag_notice(first.shapes, component)
-        for fit, end in alternative_fits(first.shapes):
-            models = [
-                of_release[fit.hypothesis].model if fit.hypothesis in of_release else release.shapes[0].model
-                for of_release, release in zip(ends, releases, strict=True)
-            ]
-            notice, lag = lag, None
-            if notice is None and fit.shape not in ("exponential", first.shapes[0].shape):
-                text = describe_difference(first.shapes[0], fit)
-                shapes = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=text)
-                notice = shapes if text else None
-            yield AlternativeModels([model for model in models if model is not None], end.distance), notice
-
-
-# Selection of the releases for a component's model, and its structure.
+# Selection of the releases for a component's model.
 
 LONGEST_RELEASE = 0.5
 """Periods of the first mode that a release by another device than the fastest may last; from there on, the response
@@ -357,64 +323,6 @@ def choose_releases(releases: Sequence[StepRelease]) -> tuple[tuple[StepRelease,
         return chosen, f"releases by {by}: each lasts at most half a period of the first mode"
     why = "the fastest" if len(selected) == 1 else "at most half a period of the first mode"
     return chosen, f"releases by {by}, {why} ({periods[fastest]:.2g} periods; left out: {others} periods)"
-
-
-def common_structure(releases: Sequence[StepRelease]) -> tuple[int, int]:
-    """Return the most frequent number of modes, and its largest number of real poles.
-
-    A real pole far above the modes appears in few releases only.
-    """
-    structures = [release.structure for release in releases if release.structure is not None]
-    counts = Counter(modes for modes, _ in structures)
-    modes = max(counts, key=lambda number: (counts[number], number))
-    return modes, max(reals for number, reals in structures if number == modes)
-
-
-# Fits of the releases of a component, with one structure for its model.
-
-
-class FittedReleases(NamedTuple):
-    """The releases of one component with their models, and those selected for its model.
-
-    `notices`: releases that were not fitted, or fitted again; `refitted`: names of the latter.
-    """
-
-    releases: tuple[StepRelease, ...]
-    chosen: tuple[StepRelease, ...]
-    reason: str
-    notices: tuple[Notice, ...]
-    refitted: tuple[str, ...] = ()
-
-
-def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> FittedReleases:
-    """Fit all releases of a component, and select those for its model.
-
-    Those of another structure than most are fitted again with that structure, and rejected if this fails.
-    """
-    fits, fit_notices = zip(*(fit_release(release, settings) for release in releases), strict=True)
-    fitted, notices = fit_common_shape(fits), [*chain.from_iterable(fit_notices)]
-    chosen, reason = choose_releases(fitted)
-    if not chosen:
-        return FittedReleases(fitted, (), reason, tuple(notices))
-    structure = common_structure(chosen)
-    counted = zip(structure, ("mode", "real pole"), strict=True)
-    structure_text = " and ".join(count_text(count, kind) if count else f"no {kind}s" for count, kind in counted)
-    of_structure, refitted = dict[str, StepRelease](), list[str]()
-    for release in chosen:
-        found = release
-        if release.structure != structure:
-            found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
-            if found.structure != structure:
-                name, channel = release.name, release.driven
-                notices.append(Notice(declared.STRUCTURE_NOT_FOUND, name, channel=channel, structure=structure_text))
-                continue
-            refitted.append(release.name)
-        of_structure[release.name] = found
-    if refitted:
-        notices.append(Notice(declared.RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
-    used = {release.name: release for release in fit_common_shape([*of_structure.values()])}
-    everything = tuple(used.get(release.name, release) for release in fitted)
-    return FittedReleases(everything, tuple(used.values()), reason, tuple(notices), tuple(refitted))
 
 
 # Comparison of methods for one release.

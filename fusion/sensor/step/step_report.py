@@ -157,6 +157,8 @@ NUMBERS: list[TableColumn[Number]] = [
     *(text_column(name, attrgetter(name)) for name in ("component", "channel", "name")),
     *quantity_columns(lambda row: row.quantity),
     text_column("recordings", lambda row: ", ".join(row.recordings)),
+    TableColumn("low", lambda row: getattr(row.quantity, "low", np.nan)),
+    TableColumn("high", lambda row: getattr(row.quantity, "high", np.nan)),
 ]
 
 
@@ -372,6 +374,7 @@ def quantities_table(head: str, what: str, quantities: Sequence[NamedQuantity], 
     columns: list[TableColumn[NamedQuantity]] = [
         page_column(head, lambda one: capitalise(one.label), "l"),
         page_column("value", lambda one: quantity_html(*_shown(one))),
+        page_column("interval of 95 %", _interval_text),
         page_column("k", if_finite(lambda one: factor_text(one.k))),
         page_column("dof", if_finite(lambda one: degrees_of_freedom(one.dof))),
     ]
@@ -511,6 +514,15 @@ def _shown(quantity: NamedQuantity) -> tuple[float, float, str]:
     else:
         scale, unit = (MILLI, "ms") if unit == "s" else (1.0, "" if unit == "1" else unit)
     return scale * quantity.value, scale * quantity.expanded, unit
+
+
+def _interval_text(quantity: NamedQuantity) -> str:
+    """Return the ends of an interval that is not symmetric, as shown."""
+    if not np.isfinite(quantity.low + quantity.high):
+        return DASH
+    value, _, unit = _shown(quantity)
+    scale = value / quantity.value if quantity.value else 1.0
+    return f"{scale * quantity.low:.4g} … {scale * quantity.high:.4g} {unit}"
 
 
 def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
