@@ -13,7 +13,7 @@ from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 _OVERSAMPLING = 8  # samples per period of the highest line, for powers of the motion
 _SIGNIFICANT = 20.0  # decrease of χ², over its excess, by two parameters; by chance in 5 of 100 000 fits
-_EXPLAINED, _MOST_LEFT = 1.5, 0.6  # χ² per degree of freedom, or share of it, that both forces must not exceed
+_EXPLAINED, _MOST_LEFT = 1.5, 0.2  # χ² per degree of freedom, or share of it, that both forces must not exceed
 _OFF_GRID = 0.05  # distance from a harmonic of the line spacing, in spacings, that rounding explains
 _STEP = 1e-6  # relative step of differences
 
