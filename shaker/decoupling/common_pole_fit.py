@@ -13,11 +13,12 @@ from shaker.decoupling.common_pole_search import (
     drop_weak_modes,
     equally_likely,
     select_pole_count,
-    select_release_shape,
     try_other_durations,
+    try_other_shapes,
 )
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
+    TIMES,
     PoleFit,
     ReleaseTiming,
     StepProblem,
@@ -115,10 +116,11 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     for record, release in zip(problem.records, releases, strict=True):
         before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
-    near = replace(problem, records=tuple(cut))
+    near, devices = replace(problem, records=tuple(cut)), _devices(records)
     fit, trials = select_pole_count(near, add_first_lag(near, start, tuple(releases)), most_modes, most_reals)
-    fit, others = try_other_durations(near, fit)
-    fit = select_release_shape(problem, near, fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR))
+    fit, shapes = try_other_shapes(near, fit, devices)
+    fit, durations = try_other_durations(near, fit)
+    fit, others = fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR), [*durations, *shapes]
     refined_noise = noise * misfits(problem, fit)
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / refined_noise))
@@ -127,6 +129,12 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
     return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
+
+
+def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
+    """Return the indices of the records by release device; unnamed ones of one load are alike."""
+    names = [record.release or record.component for record in records]
+    return [[i for i, name in enumerate(names) if name == one] for one in dict.fromkeys(names)]
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
@@ -314,7 +322,7 @@ def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
     """Return the standard deviation of each output's residual over its weight, all records together."""
     rests = np.concatenate([rest for _, rest in by_record(problem, fit)])
     free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
-    free += (fit.poles.count + 2 * len(fit.releases)) / rests.shape[1]
+    free += (fit.poles.count + sum(release.free for release in fit.releases)) / rests.shape[1]
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
@@ -322,7 +330,7 @@ def _releases(
     problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
     """Return the fitted release of every record, in the order of the records."""
-    times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, 2).tolist()
+    times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, TIMES).tolist()
     rests, results = dict(by_record(problem, fit)), []
     for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
         data = record.samples.value

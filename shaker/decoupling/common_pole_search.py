@@ -10,7 +10,6 @@ import numpy as np
 
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import PoleCandidate, PoleFit, ReleaseTiming, StepProblem, by_record, fit_poles
-from shaker.release.load_response import MOMENTS
 from shaker.release.record import ReleaseShape, shared_poles
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import REJECT_CHI2, SeparablePoint
@@ -20,8 +19,8 @@ _CANDIDATES = 3  # poles of a residual that are tried per load
 _FEW_STEPS = 12  # of a fit near its minimum
 _ROUGH = 2.0  # gain of a step of a comparison, in variances
 _ALONG_A_VALLEY = (40, 0.1)  # steps and smallest gain for a lag, which acts almost like a later and longer release
-_AS_LONG = (1.25, 1.35, 1.45, 1.55)
-"""Trial durations of half a cosine over that of a similar ramp: 1.33 by second moment, more for fast modes."""
+_SHAPES: tuple[ReleaseShape, ...] = ("ramp", "smooth", "exponential", "stages")
+_EXPLAINED = 1.02  # mean square residual over the noise below which a release needs no stages
 _LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
 _SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
 _REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
@@ -29,7 +28,6 @@ _HIGHEST_REAL = 0.45  # share of the sampling rate
 _RESOLVED_SAMPLES = 2.0  # duration below which the shape is not resolved
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5  # mean square residual over the noise
-_CLEARLY = 10.0  # significant difference of the loss
 _DURATION_FACTORS = (0.75, 1.4)
 _HARDLY_MORE = 12.0  # excess loss for fixed poles above which no fit of all parameters is below `REJECT_CHI2`
 _MIN_DIFFERENCE = 0.1  # relative, of different durations
@@ -61,19 +59,24 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
     A lag is always fitted: even one too fast to be observed changes the ringing, and a model without it claims too
     much.
     """
-    offers: list[PoleCandidate] = []
+    offers: list[tuple[float, PoleCandidate]] = []
+
+    def offer(lagged: Poles, moved: Sequence[ReleaseTiming]) -> None:
+        times = tuple(_timed(problem.part([i]), lagged, [one]).releases[0] for i, one in enumerate(moved))
+        offers.append((problem.point(lagged, times).loss, (lagged, times)))
+
     for share in _LAGS:
         hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
-        late_s = 1.0 / (2.0 * np.pi * hz)
-        moved = []
+        late_s, moved = 1.0 / (2.0 * np.pi * hz), []
         for release in releases:
-            square = release.duration_s**2 - late_s**2 / MOMENTS[release.shape]
-            shortest = _SHORTEST * release.duration_s
-            shorter = float(np.sqrt(max(square, shortest**2)))
-            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
-        times = [_timed(problem.part([i]), poles.with_real(hz), [one]).releases[0] for i, one in enumerate(moved)]
-        offers.append((poles.with_real(hz), tuple(times)))
-    return min(offers, key=lambda offer: problem.point(*offer).loss)
+            shorter = float(np.sqrt(max(1.0 - late_s**2 / release.moment_s2, _SHORTEST**2)))
+            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter * release.duration_s))
+        offer(poles.with_real(hz), moved)
+        offer(poles.with_real(hz), [release.in_shape("exponential") for release in moved])
+    least, (lagged, moved_times) = min(offers, key=lambda pair: pair[0])
+    if least > _UNEXPLAINED * problem.values:
+        offer(lagged, [release.in_shape("stages") for release in moved_times])
+    return min(offers, key=lambda pair: pair[0])[1]
 
 
 def select_pole_count(
@@ -98,29 +101,49 @@ def select_pole_count(
     return fit, trials
 
 
-def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit with the significantly better shape of each release.
+def try_other_shapes(
+    problem: StepProblem, fit: PoleFit, devices: Sequence[Sequence[int]]
+) -> tuple[PoleFit, list[AlternativeTimes]]:
+    """Return the fit with the best shape of the releases by each device, and the shapes that are not rejected.
 
-    `near`: the problem restricted to the samples around the releases, which determine the shape.
+    All releases by a device, given by the indices of their records, have one shape. Stages are tried if no other shape
+    leaves noise alone.
     """
-    releases = tuple(
-        _better_shape(near, fit, i) if release.duration_s > _RESOLVED_SAMPLES * problem.step_s else release
-        for i, release in enumerate(fit.releases)
-    )
-    return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    releases, others = fit.releases, list[AlternativeTimes]()
+    for indices in devices:
+        if max(releases[i].duration_s for i in indices) < _RESOLVED_SAMPLES * problem.step_s:
+            continue
+        tried: list[tuple[float, tuple[ReleaseTiming, ...]]] = []
+        for shape in _SHAPES:
+            if shape == "stages" and min(tried)[0] < _EXPLAINED * problem.values:
+                continue
+            starts = list(releases)
+            for i in indices:
+                starts[i] = starts[i] if starts[i].shape == shape else starts[i].in_shape(shape)
+            tried.append(_best_times(problem, fit.poles, starts))
+        order = sorted(tried, key=lambda end: end[0])
+        releases = order[0][1]
+        for loss, times in order[1:]:
+            if loss < order[0][0] + _HARDLY_MORE:
+                others.append((list(indices), tuple(times[i] for i in indices)))
+    if releases == fit.releases:
+        return fit, others
+    other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(fit, other, key=lambda fitted: fitted.loss), others
 
 
-def _better_shape(problem: StepProblem, fit: PoleFit, record: int) -> ReleaseTiming:
-    """Return one release in the better of both shapes, the other with its best duration."""
-    near = problem.record_indices(problem.records[record].component)
-    part, release = problem.part(near), fit.releases[record]
-    other: ReleaseShape = "smooth" if release.shape == "ramp" else "ramp"
-    ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
-    tried = [release, *(replace(release, shape=other, duration_s=ratio * release.duration_s) for ratio in ratios)]
-    candidates = [[one if i == record else fit.releases[i] for i in near] for one in tried]
-    losses = [part.point(fit.poles, releases).loss for releases in candidates]
-    best = int(np.argmin(losses))
-    return tried[best] if losses[best] < losses[0] - _CLEARLY else release
+def _best_times(
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming]
+) -> tuple[float, tuple[ReleaseTiming, ...]]:
+    """Return the loss and the best times of all releases for fixed poles, load by load."""
+    times, total = list(releases), 0.0
+    for component in problem.components:
+        indices = problem.record_indices(component)
+        end = _timed(problem.part(indices), poles, [times[i] for i in indices])
+        total += end.loss
+        for i, release in zip(indices, end.releases, strict=True):
+            times[i] = release
+    return total, tuple(times)
 
 
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
@@ -157,7 +180,7 @@ def equally_likely(
     for indices, times in others:
         releases = list(fit.releases)
         for i, release in zip(indices, times, strict=True):
-            releases[i] = replace(fit.releases[i], middle_s=release.middle_s, duration_s=release.duration_s)
+            releases[i] = release
         found.append(fit_poles(problem, fit.poles, releases))
     found.sort(key=lambda fitted: fitted.loss)
     likely = found[:1]
@@ -170,7 +193,9 @@ def equally_likely(
 
 
 def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
-    """Return whether some release has a clearly different duration."""
+    """Return whether some release has a clearly different duration, or another shape."""
+    if any(a.shape != b.shape for a, b in zip(one, other, strict=True)):
+        return True
     lengths = np.array([(a.duration_s, b.duration_s) for a, b in zip(one, other, strict=True)])
     return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_MIN_DIFFERENCE * lengths.max(axis=1), problem.step_s)))
 

@@ -324,6 +324,7 @@ Reader: TypeAlias = FloatArray | DecouplingFilter
 _DECAYS = 5.0  # time constants of the slowest mode
 _LONGEST = 20000  # samples of a step response
 _SHORTENED = 0.05  # share of a sampled deviation, within the linear range
+_ROOM = 0.5  # largest relative change of a pole by it
 
 
 @dataclass(frozen=True, repr=False)
@@ -393,7 +394,11 @@ def crosstalks(
         raise ValueError("model: expected one with covariance, found none")
     time_s, response, stages = step_times(model, decoupler), model.response(frequency_hz), []
     changes = rng.standard_normal((draws, len(model.vector))) @ _root(model.covariance).T
-    near = [model.with_vector(model.vector + _SHORTENED * change).step(time_s) for change in changes]
+    shares = [_share_within_range(model, change) for change in changes]
+    near = [
+        model.with_vector(model.vector + share * change).step(time_s)
+        for share, change in zip(shares, changes, strict=True)
+    ]
     steps = model.step(time_s)
     for stage, reader in stage_readers(model, decoupler, noise).items():
         shown = (
@@ -404,11 +409,18 @@ def crosstalks(
         reads = _reads(reader, len(time_s))
         readings = reads(steps)
         peak = np.max(np.abs(readings), axis=0)
-        moved = [readings + (reads(one) - readings) / _SHORTENED for one in near]
+        moved = [readings + (reads(one) - readings) / share for share, one in zip(shares, near, strict=True)]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
     return tuple(stages)
+
+
+def _share_within_range(model: MultiModel, change: FloatArray) -> float:
+    """Return the share of a sampled change that is applied; with it every pole still decays."""
+    f, z, hz = (np.abs(part) for part in (model.frequency_hz, model.damping_ratio, model.real_hz))
+    room = np.concatenate([f, np.minimum(z, 1.0 - z), hz])
+    return min(_SHORTENED, _ROOM / float(np.max(np.abs(change[: len(room)]) / room)))
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
