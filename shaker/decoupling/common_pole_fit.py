@@ -7,6 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shaker.decoupling.coloured_noise import (
+    coloured_roots,
+    converter_errors,
+    prediction_gain,
+    whitening_filter,
+    with_hum,
+)
 from shaker.decoupling.common_pole_search import (
     PoleCountTrial,
     add_first_lag,
@@ -50,6 +57,7 @@ from shakercal._common.notices import Notice
 _PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
 _LEAST_BLOCKS = 1200  # per record, if it has as many samples
 _MIN_DISTANCE = 2.0  # of different poles, in decay rates
+_REST = 1.5  # durations of a release before its middle, from which the record is at rest
 _NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
 _BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
@@ -109,15 +117,20 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         middle_s, duration_s, shape = initial_release(raw)
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
+    steps, level_errors = converter_errors(records, noise)
+    noise = np.maximum(noise, steps / np.sqrt(12.0))
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
+    candidate = add_first_lag(problem, start, tuple(releases))
+    problem, start = with_hum(problem, *candidate)
+    releases = list(candidate[1])
     lasts_s = 1.0 / float(np.min(-start.values.real))
     cut = []
     for record, release in zip(problem.records, releases, strict=True):
         before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
     near, devices = replace(problem, records=tuple(cut)), _devices(records)
-    fit, trials = select_pole_count(near, add_first_lag(near, start, tuple(releases)), most_modes, most_reals)
+    fit, trials = select_pole_count(near, (start, tuple(releases)), most_modes, most_reals)
     fit, shapes = try_other_shapes(near, fit, devices)
     fit, durations = try_other_durations(near, fit)
     fit, others = fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR), [*durations, *shapes]
@@ -128,7 +141,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     ]
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
-    return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
+    return multi_fit(records, problem, (fit, *likely), (refined_noise, level_errors), tuple(trials))
 
 
 def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
@@ -162,13 +175,18 @@ def _posed(
         decays.append((rest - level) / noise[:, None])
     size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
     size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
-    sampled = []
-    for record in records:
+    sampled, rests = [], []
+    for record, release in zip(records, releases, strict=True):
         data = average_blocks(record.samples, size).T / (noise / np.sqrt(size))
         time_s = record.start_s + np.arange(len(data)) * size / rate
-        lengths = np.full(len(data), size, dtype=np.int64)
-        samples = BlockMeans(time_s, lengths, data - data.mean(axis=0), 1.0 / rate)
+        rests.append(data[: np.searchsorted(time_s, release.middle_s - _REST * release.duration_s)])
+        samples = BlockMeans(time_s, np.full(len(data), size, dtype=np.int64), data, 1.0 / rate)
         sampled.append(WhitenedRecord(record.name, record.component, record.amplitude, samples))
+    whitening = whitening_filter(rests)
+    sampled = [replace(one, whitening=whitening) for one in sampled]
+    sampled = [
+        replace(one, samples=replace(one.samples, value=one.without_level(one.samples.value))) for one in sampled
+    ]
     swings = _swings(
         [average_blocks(part, size) for part in decays], [record.component for record in records], rate / size
     )
@@ -256,20 +274,23 @@ def multi_fit(
     records: Sequence[StepRecord],
     problem: StepProblem,
     fits: tuple[PoleFit, ...],
-    noise: FloatArray,
+    noises: tuple[FloatArray, FloatArray],
     trials: tuple[PoleCountTrial, ...],
 ) -> MultiFit:
     """Return the result of a fit in the units of the records.
 
     The first of `fits` is the result; the others are not rejected by the records and enter the covariance
-    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight.
+    (`shakercal._common.fitting`). `noises`: (C,) of a sample, which was the weight, and (C,) of a level by the
+    converter's step.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
-    spread, follows = covariances(point, [misfit**2] * len(point.blocks), lag_duration_prior(fit))
-    spread = widen_for_lags(fit, spread)
+    noise, precision = noises[0], lag_duration_prior(fit)
+    spread, follows = covariances(point, [misfit**2] * len(point.blocks), precision)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
+    coloured = coloured_roots(problem, fit, precision, noises[1] / scaled)
+    spread = widen_for_lags(fit, spread + coloured[0] @ coloured[0].T)
     model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
     shift = np.array([one.vector - model.vector for one in alternatives]).reshape(-1, len(model.vector)) / far
@@ -284,7 +305,7 @@ def multi_fit(
             outputs[c] = poles.smooth @ follow
             outputs[c][:, : poles.count] += (poles.smooth_slopes @ coefficients[:, c]).T
     elements = [follow for outputs in follows for follow in outputs]
-    covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)))
+    covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)), coloured)
     size = model.shared * len(model.channels)
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         rows = slice(model.shared + d * size, model.shared + (d + 1) * size)
@@ -298,7 +319,7 @@ def multi_fit(
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
         model=model,
-        noise=noise * misfit,
+        noise=noise * misfit * prediction_gain(problem.records[0].whitening),
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
         u_amplitude=shares,

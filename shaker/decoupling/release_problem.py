@@ -110,12 +110,54 @@ class ExplainedData(NamedTuple):
 
 @dataclass(frozen=True)
 class WhitenedRecord:
-    """One record prepared for a fit: block means (A, C) over their noise, times, load."""
+    """One record prepared for a fit: block means (A, C) over their noise, times, load.
+
+    `hums_hz`: frequencies of lines whose amplitude and phase are unknown in every output, as its level is; 0 for drift.
+    `whitening`: weights of the preceding blocks in a filter that whitens the noise, applied to the means and to all
+    that describes them.
+    """
 
     name: str
     component: str
     amplitude: float
     samples: BlockMeans
+    hums_hz: tuple[float, ...] = ()
+    whitening: tuple[float, ...] = ()
+
+    @cached_property
+    def level(self) -> FloatArray:
+        """Orthonormal basis (A, L) of the level, of drift and of hum."""
+        time_s = self.samples.time_s
+        turns = 2.0 * np.pi * np.outer(time_s, [hz for hz in self.hums_hz if hz > 0.0])
+        drift = [time_s[:, None] - time_s.mean()] if 0.0 in self.hums_hz else []
+        columns = np.hstack([np.ones((len(time_s), 1)), *drift, np.cos(turns), np.sin(turns)])
+        return np.linalg.qr(self.whitened(columns))[0]
+
+    def whitened(self, rows: FloatArray) -> FloatArray:
+        """Return filtered rows (A, …), as of a record that was constant before."""
+        from scipy.signal import lfilter
+
+        if not self.whitening:
+            return rows
+        taps = np.array([1.0, *self.whitening])
+        return np.asarray(lfilter(taps, [1.0], rows - rows[:1], axis=0) + taps.sum() * rows[:1])
+
+    def without_level(self, rows: FloatArray) -> FloatArray:
+        """Return filtered rows (A, …) without their part in the span of `level`."""
+        return self._orthogonal(self.whitened(rows))
+
+    def _orthogonal(self, rows: FloatArray) -> FloatArray:
+        return np.asarray(rows - self.level @ (self.level.T @ rows))
+
+    def prepared(self, whitening: tuple[float, ...]) -> WhitenedRecord:
+        """Return a record of plain means filtered, and without its level."""
+        other = replace(self, whitening=whitening)
+        return replace(other, samples=replace(self.samples, value=other.without_level(self.samples.value)))
+
+    def with_hums(self, hums_hz: tuple[float, ...]) -> WhitenedRecord:
+        """Return the record with additional lines as unknowns."""
+        other = replace(self, hums_hz=hums_hz)
+        return replace(other, samples=replace(self.samples, value=other._orthogonal(self.samples.value)))
 
     def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, fixed_poles: bool) -> BlockResponses:
         """Return the responses of the poles to the release, with derivatives."""
@@ -134,7 +176,7 @@ class WhitenedRecord:
             value = responses(load, poles.values, self.samples, *times, release.stages).T
             upper, real = value[: poles.modes], value[poles.modes :]
             columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real])
-            basis, triangle = np.linalg.qr((columns - columns.mean(axis=1, keepdims=True)).T)
+            basis, triangle = np.linalg.qr(self.without_level(columns.T))
             along = basis.T @ self.samples.value
             return ExplainedData(basis, triangle, along, self.samples.value - basis @ along)
 
@@ -143,7 +185,8 @@ class WhitenedRecord:
     def cut(self, from_s: float, to_s: float) -> WhitenedRecord:
         """Return the record between two times."""
         near = self.samples.between(from_s, to_s)
-        return replace(self, samples=replace(near, value=near.value - near.value.mean(axis=0)))
+        part = replace(self, samples=near)
+        return replace(part, samples=replace(near, value=part._orthogonal(near.value)))
 
 
 @dataclass(frozen=True)
@@ -278,7 +321,7 @@ def covariances(
     variances. Element [i][c] (B, P + B): change of the coefficients with the parameters, and a square root of their own
     covariance.
     """
-    inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
+    inverse, count = inverse_normal(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
     for part, (indices, change, orthogonal, _), variance in zip(point.solved, point.jacobians, variances, strict=True):
         rows = []
@@ -293,7 +336,7 @@ def covariances(
     return inverse @ spread @ inverse, follows
 
 
-def _inverse(normal: FloatArray) -> FloatArray:
+def inverse_normal(normal: FloatArray) -> FloatArray:
     """Return the inverse of a normal matrix, without undetermined directions."""
     unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scale = np.outer(unit, unit)
@@ -301,13 +344,18 @@ def _inverse(normal: FloatArray) -> FloatArray:
 
 
 def model_covariance(
-    model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
+    model: MultiModel,
+    spread: FloatArray,
+    follows: Sequence[FloatArray],
+    scale: FloatArray,
+    coloured: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (P, P) of the model's vector from a fit.
 
     The poles are first. `follows`: dependence of the coefficients of each element as in `covariances`, load by load and
     output by output, and their `scale`. Returned too: standard uncertainties (P,) from the noise of each element alone,
-    0 for the poles.
+    0 for the poles. `coloured`: roots (P, K) and (D·C·B, K) of noise that is common to parameters and coefficients,
+    where `spread` includes the first.
     """
     count, n = len(model.vector), model.shared
     rows, by_noise = np.zeros((count, len(spread))), np.zeros((count, count))
@@ -316,7 +364,13 @@ def model_covariance(
         rows_of_element = slice(n * (1 + i), n * (2 + i))
         rows[rows_of_element] = size * follow[:, : len(spread)]
         by_noise[rows_of_element, rows_of_element] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
-    return np.asarray(rows @ spread @ rows.T + by_noise), np.asarray(np.sqrt(np.diag(by_noise)))
+    alone = np.asarray(np.sqrt(np.diag(by_noise)))
+    if coloured is not None:
+        along = np.zeros((count, coloured[0].shape[1]))
+        along[n:] = np.repeat(scale, n)[:, None] * coloured[1]
+        across = rows @ coloured[0] @ along.T
+        by_noise += across + across.T + along @ along.T
+    return np.asarray(rows @ spread @ rows.T + by_noise), alone
 
 
 def lag_duration_prior(fit: PoleFit) -> FloatArray:
@@ -328,7 +382,7 @@ def lag_duration_prior(fit: PoleFit) -> FloatArray:
     """
     poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    spread, precision, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
+    spread, precision, largest = inverse_normal(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
     def bound(indices: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
@@ -386,6 +440,7 @@ def _block(
             mine = np.r_[:free, free + TIMES * k : free + TIMES * (k + 1)]
             answered = record.response_derivatives(poles.values, releases[i], fixed_poles=not free)
             columns, weights = moving(answered, residues, poles if free else None, releases[i])
+            columns = record.without_level(columns.T).T
             part = shown[k]
             along = columns @ part.basis
             columns -= along @ part.basis.T
@@ -431,8 +486,7 @@ def moving(
         columns = [along.real, along.imag[:m], *times]
         weights[:, parameter, which] = by_pole.real
         weights[:, parameter[: 2 * m], m + len(poles.real_hz) + which[: 2 * m]] = -by_pole.imag[:, : 2 * m]
-    table = np.concatenate(columns)
-    return table - table.mean(axis=1, keepdims=True), weights
+    return np.concatenate(columns), weights
 
 
 def by_record(problem: StepProblem, fit: PoleFit) -> list[tuple[int, FloatArray]]:

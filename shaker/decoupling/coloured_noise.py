@@ -1,0 +1,222 @@
+"""Noise of releases that is not white: hum and drift as unknowns, colour and a coarse converter in the covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from shaker.decoupling.model import Poles
+from shaker.decoupling.release_problem import (
+    TIMES,
+    PoleFit,
+    ReleaseTiming,
+    StepProblem,
+    by_record,
+    inverse_normal,
+    moving,
+)
+from shaker.release.record import StepRecord
+from shakercal._common.arrays import FloatArray
+
+# A filter that whitens the noise at rest.
+
+_ORDER, _CORRELATED = 8, 26.1  # taps; 99.9 % quantile of N·Σr² over as many lags for white noise, χ² of 8
+_FEWEST = 4  # blocks at rest per tap, at least
+
+
+def whitening_filter(rests: Sequence[FloatArray]) -> tuple[float, ...]:
+    """Return the weights of preceding samples in a whitening filter of noise (N, C), none for white noise.
+
+    The prediction error of an autoregression, common to all outputs, from their mean correlation.
+    """
+    from scipy.linalg import solve_toeplitz
+
+    long = [rest - rest.mean(axis=0) for rest in rests if len(rest) >= _FEWEST * _ORDER]
+    if not long:
+        return ()
+    sums = [sum(float(np.vdot(rest[lag:], rest[: len(rest) - lag])) for rest in long) for lag in range(_ORDER + 1)]
+    count = sum(rest.size for rest in long)
+    share = np.array(sums) / max(sums[0], 1e-300)
+    if not count * float(np.sum(share[1:] ** 2)) > _CORRELATED:
+        return ()
+    return tuple((-solve_toeplitz(share[:-1], share[1:])).tolist())
+
+
+def prediction_gain(whitening: tuple[float, ...]) -> float:
+    """Return the standard deviation of noise over that of its prediction error."""
+    from scipy.signal import lfilter
+
+    impulse = np.zeros(_GAIN_SAMPLES)
+    impulse[0] = 1.0
+    return float(np.linalg.norm(lfilter([1.0], [1.0, *whitening], impulse)))
+
+
+# Hum and drift, as unknowns of every record.
+
+_GAIN_SAMPLES = 4096  # of an impulse response
+_MAINS_HZ, _ORDERS = (50.0, 60.0), (1, 2, 3, 5, 7)  # of public grids, and the orders that rectifiers draw
+_BELOW = 0.75  # highest hum over the lowest mode
+_SIGMAS = 5.0  # gain of a line in standard deviations of that of white noise, from which it is an unknown
+_AS_HUM = (0.05, 0.1)  # relative distance from a line, and damping ratio, of a mode that may be hum
+
+
+def with_hum(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming]) -> tuple[StepProblem, Poles]:
+    """Return the problem with significant hum and drift as unknowns of all records, and the poles without them."""
+    series = problem.values // len(problem.records[0].samples.value)  # outputs of all records
+    best = problem, poles, problem.point(poles, releases).loss
+    for base in _MAINS_HZ:
+        rings = _without_hum(poles, base)
+        top_hz = _BELOW * float(rings.frequency_hz.min())
+        lines = (0.0, *(order * base for order in _ORDERS if order * base < top_hz))
+        least = _with_lines(problem, lines).point(rings, releases).loss
+        chosen = []
+        for hz in lines:
+            others = _with_lines(problem, tuple(other for other in lines if other != hz))
+            dof = series if hz == 0.0 else 2 * series
+            gain = (others.point(rings, releases).loss - least) / max(least / problem.values, 1e-300)
+            if gain > dof + _SIGMAS * np.sqrt(2.0 * dof):
+                chosen.append(hz)
+        smaller = _with_lines(problem, tuple(chosen))
+        loss = smaller.point(rings, releases).loss
+        if chosen and loss < best[2]:
+            best = smaller, rings, loss
+    return best[0], best[1]
+
+
+def _with_lines(problem: StepProblem, lines_hz: tuple[float, ...]) -> StepProblem:
+    """Return the problem with lines as unknowns."""
+    return replace(problem, records=tuple(record.with_hums(lines_hz) for record in problem.records))
+
+
+def _without_hum(poles: Poles, base_hz: float) -> Poles:
+    """Return poles without lightly damped ones near multiples of the mains; at least the strongest remains."""
+    order = poles.frequency_hz / base_hz
+    near = np.abs(order - np.maximum(np.round(order), 1.0)) * base_hz < _AS_HUM[0] * poles.frequency_hz
+    hum = near & (poles.damping_ratio < _AS_HUM[1]) & (np.round(order) <= _ORDERS[-1])
+    if np.all(hum):
+        return poles
+    return Poles(poles.frequency_hz[~hum], poles.damping_ratio[~hum], poles.real_hz)
+
+
+# Covariance of noise that is not white.
+
+_OCTAVE = 10  # lines below which those of the octave above count
+_NARROW = 5  # least number of lines in a mean
+_WIDE = 8  # lines over the number in a mean
+
+
+def coloured_roots(
+    problem: StepProblem, fit: PoleFit, precision: FloatArray, errors: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return roots (P, K), (D·C·(2M + Q), K) of the covariance of parameters and coefficients beyond white noise.
+
+    The density of each output's residual, a mean over records and neighbouring lines, beyond its variance. The fit
+    absorbs most of the slowest lines, which have the density of the octave above. `errors` (C,): constant errors of the
+    levels before and after a release by a coarse converter in units of the weights, the same in all records of a load.
+    """
+    point, poles = fit.solution.point, fit.poles
+    inverse = inverse_normal(point.normal[0] + np.diag(precision))
+    grid_hz, excess = _excess(problem, fit)
+    size, outputs = poles.count, len(errors)
+    parameters, roots = len(inverse), list[FloatArray]()
+
+    def add(element: int, both: FloatArray) -> None:
+        root = np.zeros((parameters + len(problem.components) * outputs * size, both.shape[1]))
+        root[:parameters] = both[:parameters]
+        root[parameters + element * size : parameters + (element + 1) * size] = both[parameters:]
+        roots.append(root)
+
+    for d, component in enumerate(problem.components):
+        solved, jacobian, design = point.solved[d], point.jacobians[d], point.blocks[d].design
+        index = jacobian.parameter_index
+        along = np.tensordot(solved.basis, np.tensordot(solved.basis.T, jacobian.rows, 1), 1)
+        free, gain = jacobian.rows - along, poles.smooth @ solved.root @ solved.root.T
+        levels = np.zeros((outputs, parameters + size, 2))
+        for k, (i, table, weights, rows) in enumerate(_tables(problem, fit, component, solved.coefficients)):
+            samples, mine = problem.records[i].samples, np.r_[:size, size + TIMES * k : size + TIMES * (k + 1)]
+            lines, hz = np.fft.rfft(table, axis=0), _lines_hz(problem, i)
+            late = samples.time_s > fit.releases[i].middle_s
+            sums = table.T @ problem.records[i].whitened(np.stack([~late, late], axis=1).astype(np.float64))
+            for c in range(outputs):
+                by_theta = np.hstack([inverse[:, index] @ free[rows, :, c].T, inverse[:, index[mine]] @ weights[c]])
+                by_eta = np.zeros((size, by_theta.shape[1]))
+                by_eta[:, : rows.stop - rows.start] = gain @ design[rows].T
+                both = np.concatenate([by_theta, by_eta])
+                levels[c] += errors[c] * both @ sums
+                weighted = np.sqrt(2.0 * np.interp(hz, grid_hz, excess[:, c]) / len(table))[:, None] * lines
+                if np.any(weighted):
+                    root = np.linalg.qr(np.concatenate([weighted.real, weighted.imag]), mode="r").T
+                    add(d * outputs + c, both @ root)
+        for c in np.flatnonzero(errors > 0.0).tolist():
+            add(d * outputs + c, levels[c])
+    whole = np.hstack([np.zeros((parameters + len(problem.components) * outputs * size, 0)), *roots])
+    return whole[:parameters], whole[parameters:]
+
+
+def _tables(
+    problem: StepProblem, fit: PoleFit, component: str, coefficients: FloatArray
+) -> Iterator[tuple[int, FloatArray, FloatArray, slice]]:
+    """Yield, for each record of a load, columns (A, B + R) that span its changes, weights, and rows of its basis.
+
+    Of the changes with the parameters, weights (C, p, R) are those of the columns orthogonal to the basis.
+    """
+    poles = fit.poles
+    re, im, real = np.split(poles.smooth @ coefficients, [poles.modes, 2 * poles.modes])
+    residues, start = np.concatenate([2 * (re + 1j * im), real]), 0
+    for i in problem.record_indices(component):
+        record = problem.records[i]
+        basis = record.explained(poles, fit.releases[i]).basis
+        answered = record.response_derivatives(poles.values, fit.releases[i], fixed_poles=False)
+        columns, weights = moving(answered, residues, poles, fit.releases[i])
+        free = record.without_level(columns.T)
+        free -= basis @ (basis.T @ free)
+        yield i, np.hstack([basis, free]), weights, slice(start, start + basis.shape[1])
+        start += basis.shape[1]
+
+
+def _lines_hz(problem: StepProblem, record: int) -> FloatArray:
+    """Return the frequencies of the lines of a record."""
+    samples = problem.records[record].samples
+    return np.asarray(np.fft.rfftfreq(len(samples.value), samples.step_s * float(samples.length[0])))
+
+
+def _excess(problem: StepProblem, fit: PoleFit) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (K,) and the density (K, C) of the residual beyond its variance, over that of the weights."""
+    rests = dict(by_record(problem, fit))
+    longest = max(rests, key=lambda i: len(rests[i]))
+    grid_hz = _lines_hz(problem, longest)
+    power = np.zeros((len(grid_hz), next(iter(rests.values())).shape[1]))
+    for i, rest in rests.items():
+        lines = np.abs(np.fft.rfft(rest, axis=0)) ** 2 / len(rest)
+        for c in range(power.shape[1]):
+            power[:, c] += np.interp(grid_hz, _lines_hz(problem, i), lines[:, c]) / len(rests)
+    number = np.arange(len(grid_hz))
+    half = np.maximum(_NARROW, number // _WIDE) // 2
+    first = np.where(number < _OCTAVE, np.maximum(number, 1), number - half)
+    last = np.minimum(np.where(number < _OCTAVE, 2 * number + 2, number + half + 1), len(grid_hz))
+    sums = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power, axis=0)])
+    mean = (sums[last] - sums[first]) / np.maximum(last - first, 1)[:, None]
+    scatter = 1.0 + _SIGMAS / np.sqrt(len(rests) * np.maximum(last - first, 1))[:, None]
+    white = np.mean(power[1:], axis=0)
+    return grid_hz, np.where(mean > scatter * white, mean - white, 0.0)
+
+
+# The step of a converter.
+
+
+def converter_errors(records: Sequence[StepRecord], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the steps (C,) of the converters, and the standard uncertainty (C,) of a constant level by them.
+
+    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, with the step q.
+    """
+    steps = np.full(len(noise), np.inf)
+    for record in records:
+        for c, row in enumerate(record.samples):
+            levels = np.unique(row)
+            steps[c] = min(steps[c], float(np.min(np.diff(levels), initial=np.inf)))
+    steps[~np.isfinite(steps)] = 0.0
+    dither = np.maximum(noise**2 - steps**2 / 12.0, 0.0)
+    left = np.exp(-2.0 * np.pi**2 * dither / np.maximum(steps, 1e-300) ** 2)
+    return steps, np.asarray(steps / np.sqrt(12.0) * left)
