@@ -439,6 +439,22 @@ DURATION_UNLIKELY = DeclaredNotice(
     remedy="Record a release of another duration.",
     link="decoupling.md",
 )
+RELEASE_SHAPE_AMBIGUOUS = DeclaredNotice(
+    "SC-880",
+    "note",
+    "The releases of {loads} may have had the shape {shape} or {other} (χ² differs by {difference:.1f}).",
+    effect="The records do not distinguish both shapes; U includes both.",
+    remedy="Record releases of another duration.",
+    link="decoupling.md",
+)
+LAG_OR_RELEASE = DeclaredNotice(
+    "SC-881",
+    "warning",
+    "The sensor may have the lag {lag_us:.4g} µs or {other_us:.4g} µs (χ² differs by {difference:.1f}).",
+    effect="An exponential release acts like a lag; the records do not show which one the sensor has. U includes both.",
+    remedy="Record releases of another duration, or measure the force.",
+    link="decoupling.md",
+)
 
 # Models of the cross-beam element.
 

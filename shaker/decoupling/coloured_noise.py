@@ -27,7 +27,7 @@ _FEWEST = 4  # blocks at rest per tap, at least
 
 
 def whitening_filter(rests: Sequence[FloatArray]) -> tuple[float, ...]:
-    """Return the weights of preceding samples in a whitening filter of noise (N, C), none for white noise.
+    """Return the taps of a filter that makes noise (N, C) white with the same variance, none for white noise.
 
     The prediction error of an autoregression, common to all outputs, from their mean correlation.
     """
@@ -41,21 +41,13 @@ def whitening_filter(rests: Sequence[FloatArray]) -> tuple[float, ...]:
     share = np.array(sums) / max(sums[0], 1e-300)
     if not count * float(np.sum(share[1:] ** 2)) > _CORRELATED:
         return ()
-    return tuple((-solve_toeplitz(share[:-1], share[1:])).tolist())
-
-
-def prediction_gain(whitening: tuple[float, ...]) -> float:
-    """Return the standard deviation of noise over that of its prediction error."""
-    from scipy.signal import lfilter
-
-    impulse = np.zeros(_GAIN_SAMPLES)
-    impulse[0] = 1.0
-    return float(np.linalg.norm(lfilter([1.0], [1.0, *whitening], impulse)))
+    taps = solve_toeplitz(share[:-1], share[1:])
+    left = 1.0 - float(taps @ share[1:])  # variance of the prediction error over that of the noise
+    return tuple((np.array([1.0, *(-taps)]) / np.sqrt(max(left, 1e-12))).tolist())
 
 
 # Hum and drift, as unknowns of every record.
 
-_GAIN_SAMPLES = 4096  # of an impulse response
 _MAINS_HZ, _ORDERS = (50.0, 60.0), (1, 2, 3, 5, 7)  # of public grids, and the orders that rectifiers draw
 _BELOW = 0.75  # highest hum over the lowest mode
 _SIGMAS = 5.0  # gain of a line in standard deviations of that of white noise, from which it is an unknown
@@ -205,11 +197,14 @@ def _excess(problem: StepProblem, fit: PoleFit) -> tuple[FloatArray, FloatArray]
 
 # The step of a converter.
 
+_UNSPREAD = 0.5  # further share of the rounding's standard deviation that the fit may leave
+
 
 def converter_errors(records: Sequence[StepRecord], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the steps (C,) of the converters, and the standard uncertainty (C,) of a constant level by them.
+    """Return the noise (C,) with that of the converters, and the standard uncertainty (C,) of a constant level by them.
 
-    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, with the step q.
+    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, with the step q. An error
+    that noise does not spread follows the signal, so that noise is taken as larger.
     """
     steps = np.full(len(noise), np.inf)
     for record in records:
@@ -219,4 +214,5 @@ def converter_errors(records: Sequence[StepRecord], noise: FloatArray) -> tuple[
     steps[~np.isfinite(steps)] = 0.0
     dither = np.maximum(noise**2 - steps**2 / 12.0, 0.0)
     left = np.exp(-2.0 * np.pi**2 * dither / np.maximum(steps, 1e-300) ** 2)
-    return steps, np.asarray(steps / np.sqrt(12.0) * left)
+    rounding = steps / np.sqrt(12.0)
+    return np.maximum(noise, (1.0 + _UNSPREAD * left) * rounding), np.asarray(rounding * left)

@@ -10,7 +10,6 @@ import numpy as np
 from shaker.decoupling.coloured_noise import (
     coloured_roots,
     converter_errors,
-    prediction_gain,
     whitening_filter,
     with_hum,
 )
@@ -42,6 +41,8 @@ from shaker.model_notices import (
     DURATION_AMBIGUOUS,
     DURATION_UNLIKELY,
     FIT_NOT_CONVERGED,
+    LAG_OR_RELEASE,
+    RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SHAPE_MISFIT,
     RELEASE_SIZE_SCATTER,
     RELEASE_TOO_SLOW,
@@ -117,8 +118,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         middle_s, duration_s, shape = initial_release(raw)
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
-    steps, level_errors = converter_errors(records, noise)
-    noise = np.maximum(noise, steps / np.sqrt(12.0))
+    noise, level_errors = converter_errors(records, noise)
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
     candidate = add_first_lag(problem, start, tuple(releases))
@@ -211,6 +211,8 @@ def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) 
 # Result of a fit, in the units of the records.
 
 _COLOURED = 2.0  # residual over the noise above which a notice is given
+_ABOVE, _LINES = 1.5, 40  # highest frequency over the highest mode at which models are compared, and the number
+_OTHER_LAG = 0.1  # relative difference of lags above which they are different
 _SCATTERED = 3.0  # scatter of releases over their noise above which a notice is given
 
 
@@ -293,7 +295,7 @@ def multi_fit(
     spread = widen_for_lags(fit, spread + coloured[0] @ coloured[0].T)
     model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
-    shift = np.array([one.vector - model.vector for one in alternatives]).reshape(-1, len(model.vector)) / far
+    shift = np.array([_difference(model, one) for one in alternatives]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
     releases = _releases(problem, records, fit, spread + later.T @ later)
@@ -319,7 +321,7 @@ def multi_fit(
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
         model=model,
-        noise=noise * misfit * prediction_gain(problem.records[0].whitening),
+        noise=noise * misfit,
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
         u_amplitude=shares,
@@ -330,6 +332,28 @@ def multi_fit(
         ranks=mode_ranks(model, alone),
         notices=(*_notices(model, releases, fit), *_alternative_notices(problem, fit, others)),
     )
+
+
+def _difference(model: MultiModel, other: MultiModel) -> FloatArray:
+    """Return the change (P,) of a model's vector that gives another's responses to first order.
+
+    Responses are not linear in the poles: the residues change so that they are met best.
+    """
+    n, highest = model.shared, float(max(model.frequency_hz.max(), other.frequency_hz.max()))
+    poles = np.concatenate([one.vector[:n] for one in (other, model)]).reshape(2, n)
+    lines = np.concatenate([np.zeros(1), np.geomspace(1e-2, _ABOVE, _LINES) * highest])
+    change = other.response(lines) - model.response(lines)
+    weight = 1.0 / np.sqrt(np.mean(np.abs(model.response(lines)) ** 2, axis=(1, 2)))
+    basis, moved = model.common_poles.basis(lines) * weight[:, None], poles[0] - poles[1]
+    whole = [moved]
+    unit = np.concatenate([np.ones(2 * len(model.frequency_hz)), 1.0 / model.real_hz])  # of poles in Hz
+    for d, c in np.ndindex(len(model.components), len(model.channels)):
+        residues = np.concatenate([model.residue[:, c, d], model.real_residue[:, c, d]])
+        slope = model.common_poles.response_slopes(lines, residues) * unit
+        left = (change[:, c, d] - slope @ moved) * weight
+        both = [np.concatenate([part.real, part.imag]) for part in (basis, left)]
+        whole.append(np.linalg.lstsq(both[0], both[1], rcond=None)[0])
+    return np.concatenate(whole)
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
@@ -415,11 +439,23 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
 
 
 def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
-    """Yield notices on loads whose releases could have other durations."""
+    """Yield notices on releases that could have other shapes or durations, and on a lag that may be theirs."""
     for other in others:
-        pairs = list(zip(other.releases, fit.releases, strict=True))
+        pairs, more = list(zip(other.releases, fit.releases, strict=True)), other.loss - fit.loss
+        reshaped = [i for i, (one, best) in enumerate(pairs) if one.shape != best.shape]
+        if reshaped:
+            loads = ", ".join(dict.fromkeys(problem.records[i].component for i in reshaped))
+            shapes = {"shape": pairs[reshaped[0]][1].shape, "other": pairs[reshaped[0]][0].shape}
+            yield Notice(RELEASE_SHAPE_AMBIGUOUS, "model", loads=loads, difference=more, **shapes)
+            continue
+        lags = [np.sort(1e6 / (2.0 * np.pi * one.poles.real_hz)) for one in (fit, other)]
+        if len(lags[0]) and any(best.shape == "exponential" for _, best in pairs):
+            k = int(np.argmax(np.abs(np.log(lags[1] / lags[0]))))
+            if abs(np.log(lags[1][k] / lags[0][k])) > _OTHER_LAG:
+                yield Notice(LAG_OR_RELEASE, "model", lag_us=lags[0][k], other_us=lags[1][k], difference=more)
+                continue
         i = int(np.argmax([abs(np.log(one.duration_s / best.duration_s)) for one, best in pairs]))
-        more, record = other.loss - fit.loss, problem.records[i]
+        record = problem.records[i]
         yield Notice(
             DURATION_AMBIGUOUS if more < NORMAL_QUANTILE_95**2 else DURATION_UNLIKELY,
             record.component,

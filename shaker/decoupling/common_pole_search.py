@@ -20,7 +20,9 @@ _FEW_STEPS = 12  # of a fit near its minimum
 _ROUGH = 2.0  # gain of a step of a comparison, in variances
 _ALONG_A_VALLEY = (40, 0.1)  # steps and smallest gain for a lag, which acts almost like a later and longer release
 _SHAPES: tuple[ReleaseShape, ...] = ("ramp", "smooth", "exponential", "stages")
-_EXPLAINED = 1.02  # mean square residual over the noise below which a release needs no stages
+_STAGES = (0.35, 0.5, 0.65)  # trial shares of the load in a first stage
+_STAGES_PRICE = 1.03  # a loss without stages that is lower by more than this is no chance of imperfectly white noise
+_EXPLAINED = 1.02  # mean square residual over the noise below which no further shape is tried
 _LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
 _SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
 _REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
@@ -29,6 +31,7 @@ _RESOLVED_SAMPLES = 2.0  # duration below which the shape is not resolved
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5  # mean square residual over the noise
 _DURATION_FACTORS = (0.75, 1.4)
+_BELOW_NOISE = 0.8  # mean square residual over the noise at rest below which no further pole is needed
 _HARDLY_MORE = 12.0  # excess loss for fixed poles above which no fit of all parameters is below `REJECT_CHI2`
 _MIN_DIFFERENCE = 0.1  # relative, of different durations
 _STRONG = 0.5
@@ -62,21 +65,31 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
     offers: list[tuple[float, PoleCandidate]] = []
 
     def offer(lagged: Poles, moved: Sequence[ReleaseTiming]) -> None:
-        times = tuple(_timed(problem.part([i]), lagged, [one]).releases[0] for i, one in enumerate(moved))
-        offers.append((problem.point(lagged, times).loss, (lagged, times)))
+        times = []
+        for i, one in enumerate(moved):
+            shares = _STAGES if one.shape == "stages" else (one.share,)
+            ends = [_timed(problem.part([i]), lagged, [replace(one, share=share)]) for share in shares]
+            times.append(min(ends, key=lambda end: end.loss).releases[0])
+        offers.append((problem.point(lagged, times).loss, (lagged, tuple(times))))
 
+    starts = []
     for share in _LAGS:
         hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
         late_s, moved = 1.0 / (2.0 * np.pi * hz), []
         for release in releases:
             shorter = float(np.sqrt(max(1.0 - late_s**2 / release.moment_s2, _SHORTEST**2)))
             moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter * release.duration_s))
-        offer(poles.with_real(hz), moved)
-        offer(poles.with_real(hz), [release.in_shape("exponential") for release in moved])
-    least, (lagged, moved_times) = min(offers, key=lambda pair: pair[0])
-    if least > _UNEXPLAINED * problem.values:
-        offer(lagged, [release.in_shape("stages") for release in moved_times])
-    return min(offers, key=lambda pair: pair[0])[1]
+        starts.append((poles.with_real(hz), moved))
+    for shape in (None, *_SHAPES[-2:]):
+        if min((loss for loss, _ in offers), default=np.inf) > _EXPLAINED * problem.values:
+            for lagged, moved in starts:
+                offer(lagged, moved if shape is None else [release.in_shape(shape) for release in moved])
+    return min(offers, key=lambda pair: pair[0] * _price(pair[1][1][0].shape))[1]
+
+
+def _price(shape: ReleaseShape) -> float:
+    """Return the factor on a loss by which a shape with further parameters is charged."""
+    return _STAGES_PRICE if shape == "stages" else 1.0
 
 
 def select_pole_count(
@@ -113,18 +126,20 @@ def try_other_shapes(
     for indices in devices:
         if max(releases[i].duration_s for i in indices) < _RESOLVED_SAMPLES * problem.step_s:
             continue
+        loads = {problem.records[i].component for i in indices}
+        values = sum(record.samples.value.size for record in problem.records if record.component in loads)
         tried: list[tuple[float, tuple[ReleaseTiming, ...]]] = []
         for shape in _SHAPES:
-            if shape == "stages" and min(tried)[0] < _EXPLAINED * problem.values:
+            if shape == "stages" and min(end[0] for end in tried) < _EXPLAINED * values:
                 continue
             starts = list(releases)
             for i in indices:
                 starts[i] = starts[i] if starts[i].shape == shape else starts[i].in_shape(shape)
-            tried.append(_best_times(problem, fit.poles, starts))
-        order = sorted(tried, key=lambda end: end[0])
+            tried.append(_best_times(problem, fit.poles, starts, indices))
+        order = sorted(tried, key=lambda end: end[0] * _price(end[1][indices[0]].shape))
         releases = order[0][1]
         for loss, times in order[1:]:
-            if loss < order[0][0] + _HARDLY_MORE:
+            if loss < order[0][0] + _HARDLY_MORE and times[indices[0]].shape != "stages":
                 others.append((list(indices), tuple(times[i] for i in indices)))
     if releases == fit.releases:
         return fit, others
@@ -133,15 +148,15 @@ def try_other_shapes(
 
 
 def _best_times(
-    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming]
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int]
 ) -> tuple[float, tuple[ReleaseTiming, ...]]:
-    """Return the loss and the best times of all releases for fixed poles, load by load."""
+    """Return the loss and the best times for fixed poles of the loads that some records belong to."""
     times, total = list(releases), 0.0
-    for component in problem.components:
-        indices = problem.record_indices(component)
-        end = _timed(problem.part(indices), poles, [times[i] for i in indices])
+    for component in dict.fromkeys(problem.records[i].component for i in indices):
+        selected = problem.record_indices(component)
+        end = _timed(problem.part(selected), poles, [times[i] for i in selected])
         total += end.loss
-        for i, release in zip(indices, end.releases, strict=True):
+        for i, release in zip(selected, end.releases, strict=True):
             times[i] = release
     return total, tuple(times)
 
@@ -182,6 +197,7 @@ def equally_likely(
         for i, release in zip(indices, times, strict=True):
             releases[i] = release
         found.append(fit_poles(problem, fit.poles, releases))
+    found += [other for one in sorted(found, key=_exponentials)[-1:] for other in _exchanged(problem, one)]
     found.sort(key=lambda fitted: fitted.loss)
     likely = found[:1]
     for one in found[1:]:
@@ -190,6 +206,26 @@ def equally_likely(
         ):
             likely.append(one)
     return likely[0], tuple(likely[1:])
+
+
+def _exponentials(fit: PoleFit) -> tuple[int, float]:
+    """Return the number of exponential releases, then the negative loss."""
+    return sum(release.shape == "exponential" for release in fit.releases), -fit.loss
+
+
+def _exchanged(problem: StepProblem, fit: PoleFit) -> list[PoleFit]:
+    """Return the fit in which the slowest lag and exponential releases are exchanged, none without both.
+
+    A sensor behind the lag 1/a answers a release with the time constant 1/b as one behind 1/b answers that with 1/a.
+    Only releases of different time constants tell which belongs to the sensor.
+    """
+    if not len(fit.poles.real_hz) or all(release.shape != "exponential" for release in fit.releases):
+        return []
+    lag, late_s = int(np.argmin(fit.poles.real_hz)), float(np.median([np.sqrt(one.moment_s2) for one in fit.releases]))
+    other_s, real_hz = 1.0 / (2.0 * np.pi * float(fit.poles.real_hz[lag])), fit.poles.real_hz.copy()
+    real_hz[lag] = 1.0 / (2.0 * np.pi * late_s)
+    releases = [ReleaseTiming(one.middle_s + other_s - late_s, 2.0 * other_s, "exponential") for one in fit.releases]
+    return [fit_poles(problem, replace(fit.poles, real_hz=real_hz), releases)]
 
 
 def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
@@ -218,9 +254,12 @@ def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTi
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters); a lag has one."""
+    """Return N·ln(loss/N) + ln(N)·(number of parameters); a lag has one.
+
+    A loss far below that of the noise at rest counts no further.
+    """
     count = problem.values
-    return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
+    return float(count * np.log(max(loss / count, _BELOW_NOISE)) + _charge(problem, poles))
 
 
 def _charge(problem: StepProblem, poles: Poles) -> float:

@@ -113,8 +113,7 @@ class WhitenedRecord:
     """One record prepared for a fit: block means (A, C) over their noise, times, load.
 
     `hums_hz`: frequencies of lines whose amplitude and phase are unknown in every output, as its level is; 0 for drift.
-    `whitening`: weights of the preceding blocks in a filter that whitens the noise, applied to the means and to all
-    that describes them.
+    `whitening`: taps of a filter that whitens the noise, applied to the means and to all that describes them.
     """
 
     name: str
@@ -135,11 +134,11 @@ class WhitenedRecord:
 
     def whitened(self, rows: FloatArray) -> FloatArray:
         """Return filtered rows (A, …), as of a record that was constant before."""
-        from scipy.signal import lfilter
-
         if not self.whitening:
             return rows
-        taps = np.array([1.0, *self.whitening])
+        from scipy.signal import lfilter
+
+        taps = np.array(self.whitening)
         return np.asarray(lfilter(taps, [1.0], rows - rows[:1], axis=0) + taps.sum() * rows[:1])
 
     def without_level(self, rows: FloatArray) -> FloatArray:
