@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from shaker.decoupling.common_pole_search import criterion
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import (
     TIMES,
@@ -51,13 +52,13 @@ def whitening_filter(rests: Sequence[FloatArray]) -> tuple[float, ...]:
 _MAINS_HZ, _ORDERS = (50.0, 60.0), (1, 2, 3, 5, 7)  # of public grids, and the orders that rectifiers draw
 _BELOW = 0.75  # highest hum over the lowest mode
 _SIGMAS = 5.0  # gain of a line in standard deviations of that of white noise, from which it is an unknown
-_AS_HUM = (0.05, 0.1)  # relative distance from a line, and damping ratio, of a mode that may be hum
+_AS_HUM = (0.05, 0.1)  # distance from a line over the mains, and damping ratio, of a mode that may be hum
 
 
 def with_hum(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming]) -> tuple[StepProblem, Poles]:
     """Return the problem with significant hum and drift as unknowns of all records, and the poles without them."""
-    series = problem.values // len(problem.records[0].samples.value)  # outputs of all records
-    best = problem, poles, problem.point(poles, releases).loss
+    series = len(problem.records) * problem.records[0].samples.value.shape[1]  # outputs of all records
+    best = problem, poles, criterion(problem, poles, problem.point(poles, releases).loss)
     for base in _MAINS_HZ:
         rings = _without_hum(poles, base)
         top_hz = _BELOW * float(rings.frequency_hz.min())
@@ -71,9 +72,9 @@ def with_hum(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTimin
             if gain > dof + _SIGMAS * np.sqrt(2.0 * dof):
                 chosen.append(hz)
         smaller = _with_lines(problem, tuple(chosen))
-        loss = smaller.point(rings, releases).loss
-        if chosen and loss < best[2]:
-            best = smaller, rings, loss
+        score = criterion(smaller, rings, smaller.point(rings, releases).loss)
+        if chosen and score < best[2]:
+            best = smaller, rings, score
     return best[0], best[1]
 
 
@@ -85,7 +86,7 @@ def _with_lines(problem: StepProblem, lines_hz: tuple[float, ...]) -> StepProble
 def _without_hum(poles: Poles, base_hz: float) -> Poles:
     """Return poles without lightly damped ones near multiples of the mains; at least the strongest remains."""
     order = poles.frequency_hz / base_hz
-    near = np.abs(order - np.maximum(np.round(order), 1.0)) * base_hz < _AS_HUM[0] * poles.frequency_hz
+    near = np.abs(order - np.maximum(np.round(order), 1.0)) < _AS_HUM[0]
     hum = near & (poles.damping_ratio < _AS_HUM[1]) & (np.round(order) <= _ORDERS[-1])
     if np.all(hum):
         return poles
@@ -139,8 +140,8 @@ def coloured_roots(
                 levels[c] += errors[c] * both @ sums
                 weighted = np.sqrt(2.0 * np.interp(hz, grid_hz, excess[:, c]) / len(table))[:, None] * lines
                 if np.any(weighted):
-                    root = np.linalg.qr(np.concatenate([weighted.real, weighted.imag]), mode="r").T
-                    add(d * outputs + c, both @ root)
+                    root: FloatArray = np.linalg.qr(np.concatenate([weighted.real, weighted.imag]))[1]
+                    add(d * outputs + c, both @ root.T)
         for c in np.flatnonzero(errors > 0.0).tolist():
             add(d * outputs + c, levels[c])
     whole = np.hstack([np.zeros((parameters + len(problem.components) * outputs * size, 0)), *roots])

@@ -236,7 +236,7 @@ class StepProblem:
         unchanged = np.array_equal(vector[: poles.count], poles.vector)  # keeps the cached results of these poles
         moved_poles, times = poles if unchanged else poles.with_vector(vector), vector[poles.count :].reshape(-1, TIMES)
         longest = [float(np.ptp(record.samples.time_s)) for record in self.records]
-        moved = [one.moved(*other) for one, *other in zip(releases, times, longest, strict=True)]
+        moved = [one.moved(row, most) for one, row, most in zip(releases, times, longest, strict=True)]
         sound = tuple(one for one in moved if one is not None)
         return (moved_poles, sound) if moved_poles.allowed and len(sound) == len(moved) else None
 
