@@ -388,6 +388,24 @@ MASS_CONTRADICTED = DeclaredNotice(
     remedy="Weigh the part again.",
     link="load.md",
 )
+AMPLITUDE_DEPENDENT = DeclaredNotice(
+    "SC-882",
+    "warning",
+    "From the largest amplitude to {share_percent:.0f} % of it, the resonance changes by {f_percent:+.2g} % and the "
+    "damping ratio by {zeta_percent:+.2g} %.",
+    effect="The spring softens, or there is friction. U includes the linear models within this range of amplitude.",
+    remedy="Use the model within this range, or record smaller loads.",
+    link="load.md",
+)
+LOSS_FACTOR = DeclaredNotice(
+    "SC-883",
+    "warning",
+    "A constant loss factor explains the damping better than dampers: χ² {chi2:.3g} instead of {viscous:.3g}, {dof} "
+    "degrees of freedom.",
+    effect="The dampers depend on frequency. U includes their values from {low_hz:.4g} Hz to {high_hz:.4g} Hz.",
+    remedy="Use the model within this range of resonances.",
+    link="load.md",
+)
 
 # Models with common poles for decoupling.
 
