@@ -378,7 +378,7 @@ def _loss_factor(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, ela
 
 
 def _with_range(fit: SeriesFit, ends: Sequence[Resonances], masses: SeriesMasses) -> SeriesFit:
-    """Return a fit whose covariance includes linear models at the ends of a range, as rectangular distributions."""
+    """Return a fit whose covariance includes linear models at the ends of a range, as arcsine distributions."""
     if fit.covariance is None:
         return fit
     covariance = fit.covariance
@@ -386,7 +386,7 @@ def _with_range(fit: SeriesFit, ends: Sequence[Resonances], masses: SeriesMasses
         problem = SeriesProblem(end, masses, rigid=len(fit.numbers) == 2)
         x, _ = _refined(problem, problem.unknowns(fit), fit.scatter)
         move = np.concatenate([problem.numbers(x), problem.deviates(x)]) - np.concatenate([fit.numbers, fit.deviates])
-        covariance = covariance + np.outer(move, move) / 3.0
+        covariance = covariance + np.outer(move, move) / 2.0
     return replace(fit, covariance=covariance)
 
 
