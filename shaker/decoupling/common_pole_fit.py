@@ -24,6 +24,7 @@ from shaker.decoupling.common_pole_search import (
 )
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
+    SHAPE_NAMES,
     TIMES,
     PoleFit,
     ReleaseTiming,
@@ -445,8 +446,8 @@ def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[Po
         reshaped = [i for i, (one, best) in enumerate(pairs) if one.shape != best.shape]
         if reshaped:
             loads = ", ".join(dict.fromkeys(problem.records[i].component for i in reshaped))
-            shapes = {"shape": pairs[reshaped[0]][1].shape, "other": pairs[reshaped[0]][0].shape}
-            yield Notice(RELEASE_SHAPE_AMBIGUOUS, "model", loads=loads, difference=more, **shapes)
+            best, other_shape = (SHAPE_NAMES[pairs[reshaped[0]][k].shape] for k in (1, 0))
+            yield Notice(RELEASE_SHAPE_AMBIGUOUS, "model", loads=loads, difference=more, shape=best, other=other_shape)
             continue
         lags = [np.sort(1e6 / (2.0 * np.pi * one.poles.real_hz)) for one in (fit, other)]
         if len(lags[0]) and any(best.shape == "exponential" for _, best in pairs):

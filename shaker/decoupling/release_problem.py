@@ -36,6 +36,7 @@ _LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of du
 _CACHE_SIZE = 2  # results per record: those of the current point and of the trial
 
 
+SHAPE_NAMES = {"ramp": "line", "smooth": "half a cosine", "exponential": "exponential", "stages": "two lines"}
 TIMES = 4  # parameters of a release in a vector; those of stages are not moved by other shapes
 _SHARES, _PARTS = (0.02, 0.98), (0.05, 1.0)  # range of the first stage's share of the load, and of its length
 
