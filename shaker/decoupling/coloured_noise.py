@@ -18,6 +18,7 @@ from shaker.decoupling.release_problem import (
     inverse_normal,
     moving,
 )
+from shaker.release.load_response import average_blocks
 from shaker.release.record import StepRecord
 from shakercal._common.arrays import FloatArray
 
@@ -101,18 +102,18 @@ _WIDE = 8  # lines over the number in a mean
 
 
 def coloured_roots(
-    problem: StepProblem, fit: PoleFit, precision: FloatArray, errors: FloatArray
+    problem: StepProblem, fit: PoleFit, precision: FloatArray, errors: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Return roots (P, K), (D·C·(2M + Q), K) of the covariance of parameters and coefficients beyond white noise.
 
     The density of each output's residual, a mean over records and neighbouring lines, beyond its variance. The fit
-    absorbs most of the slowest lines, which have the density of the octave above. `errors` (C,): constant errors of the
-    levels before and after a release by a coarse converter in units of the weights, the same in all records of a load.
+    absorbs most of the slowest lines, which have the density of the octave above. `errors`: (A, C) of each record by a
+    coarse converter in units of the weights, common to all samples before or after a release, and to a load's records.
     """
     point, poles = fit.solution.point, fit.poles
     inverse = inverse_normal(point.normal[0] + np.diag(precision))
     grid_hz, excess = _excess(problem, fit)
-    size, outputs = poles.count, len(errors)
+    size, outputs = poles.count, errors[0].shape[1]
     parameters, roots = len(inverse), list[FloatArray]()
 
     def add(element: int, both: FloatArray) -> None:
@@ -131,19 +132,20 @@ def coloured_roots(
             samples, mine = problem.records[i].samples, np.r_[:size, size + TIMES * k : size + TIMES * (k + 1)]
             lines, hz = np.fft.rfft(table, axis=0), _lines_hz(problem, i)
             late = samples.time_s > fit.releases[i].middle_s
-            sums = table.T @ problem.records[i].whitened(np.stack([~late, late], axis=1).astype(np.float64))
+            sides = np.stack([~late, late], axis=1)
             for c in range(outputs):
                 by_theta = np.hstack([inverse[:, index] @ free[rows, :, c].T, inverse[:, index[mine]] @ weights[c]])
                 by_eta = np.zeros((size, by_theta.shape[1]))
                 by_eta[:, : rows.stop - rows.start] = gain @ design[rows].T
                 both = np.concatenate([by_theta, by_eta])
-                levels[c] += errors[c] * both @ sums
+                levels[c] += both @ (table.T @ problem.records[i].whitened(errors[i][:, c, None] * sides))
                 weighted = np.sqrt(2.0 * np.interp(hz, grid_hz, excess[:, c]) / len(table))[:, None] * lines
                 if np.any(weighted):
                     root: FloatArray = np.linalg.qr(np.concatenate([weighted.real, weighted.imag]))[1]
                     add(d * outputs + c, both @ root.T)
-        for c in np.flatnonzero(errors > 0.0).tolist():
-            add(d * outputs + c, levels[c])
+        for c in range(outputs):
+            if np.any(levels[c]):
+                add(d * outputs + c, levels[c])
     whole = np.hstack([np.zeros((parameters + len(problem.components) * outputs * size, 0)), *roots])
     return whole[:parameters], whole[parameters:]
 
@@ -198,22 +200,48 @@ def _excess(problem: StepProblem, fit: PoleFit) -> tuple[FloatArray, FloatArray]
 
 # The step of a converter.
 
+_SHORTEST = 16  # samples in which a variance is computed, at least
 _UNSPREAD = 0.5  # further share of the rounding's standard deviation that the fit may leave
 
 
-def converter_errors(records: Sequence[StepRecord], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the noise (C,) with that of the converters, and the standard uncertainty (C,) of a constant level by them.
-
-    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, with the step q. An error
-    that noise does not spread follows the signal, so that noise is taken as larger.
-    """
-    steps = np.full(len(noise), np.inf)
+def converter_steps(records: Sequence[StepRecord]) -> FloatArray:
+    """Return the steps (C,) of the converters, the smallest differences of samples."""
+    steps = np.full(len(records[0].channels), np.inf)
     for record in records:
         for c, row in enumerate(record.samples):
-            levels = np.unique(row)
-            steps[c] = min(steps[c], float(np.min(np.diff(levels), initial=np.inf)))
-    steps[~np.isfinite(steps)] = 0.0
-    dither = np.maximum(noise**2 - steps**2 / 12.0, 0.0)
-    left = np.exp(-2.0 * np.pi**2 * dither / np.maximum(steps, 1e-300) ** 2)
-    rounding = steps / np.sqrt(12.0)
-    return np.maximum(noise, (1.0 + _UNSPREAD * left) * rounding), np.asarray(rounding * left)
+            steps[c] = min(steps[c], float(np.min(np.diff(np.unique(row)), initial=np.inf)))
+    return np.where(np.isfinite(steps), steps, 0.0)
+
+
+def noise_with_steps(noise: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the noise (C,) at rest, at least that of rounding.
+
+    An error that noise does not spread follows the signal, so that noise is taken as larger.
+    """
+    return np.maximum(noise, (1.0 + _UNSPREAD * _left(noise**2, steps)) * steps / np.sqrt(12.0))
+
+
+def converter_errors(records: Sequence[StepRecord], problem: StepProblem, period_s: float) -> list[FloatArray]:
+    """Return, of each record, standard uncertainties (A, C) of its means by rounding that nothing spreads.
+
+    The variance within a period, of noise and ringing, decides.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    steps, errors = converter_steps(records), []
+    for record, prepared in zip(records, problem.records, strict=True):
+        size = max(_SHORTEST, round(period_s * record.sample_rate_hz))
+        mean, square = (uniform_filter1d(record.samples**power, size, axis=1, mode="nearest") for power in (1, 2))
+        variance = np.maximum(square - mean**2, 0.0)
+        error = steps[:, None] / np.sqrt(12.0) * _left(variance, steps[:, None])
+        errors.append(average_blocks(error, int(prepared.samples.length[0])).T)
+    return errors
+
+
+def _left(variance: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the share of the rounding's error of a level that a variance leaves, including that of rounding.
+
+    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²), with the step q.
+    """
+    spread = np.maximum(variance - steps**2 / 12.0, 0.0)
+    return np.asarray(np.exp(-2.0 * np.pi**2 * spread / np.maximum(steps, 1e-300) ** 2))

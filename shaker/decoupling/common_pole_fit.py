@@ -10,6 +10,8 @@ import numpy as np
 from shaker.decoupling.coloured_noise import (
     coloured_roots,
     converter_errors,
+    converter_steps,
+    noise_with_steps,
     whitening_filter,
     with_hum,
 )
@@ -119,7 +121,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         middle_s, duration_s, shape = initial_release(raw)
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
-    noise, level_errors = converter_errors(records, noise)
+    noise = noise_with_steps(noise, converter_steps(records))
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
     candidate = add_first_lag(problem, start, tuple(releases))
@@ -142,7 +144,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     ]
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
-    return multi_fit(records, problem, (fit, *likely), (refined_noise, level_errors), tuple(trials))
+    return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
 
 
 def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
@@ -277,22 +279,22 @@ def multi_fit(
     records: Sequence[StepRecord],
     problem: StepProblem,
     fits: tuple[PoleFit, ...],
-    noises: tuple[FloatArray, FloatArray],
+    noise: FloatArray,
     trials: tuple[PoleCountTrial, ...],
 ) -> MultiFit:
     """Return the result of a fit in the units of the records.
 
     The first of `fits` is the result; the others are not rejected by the records and enter the covariance
-    (`shakercal._common.fitting`). `noises`: (C,) of a sample, which was the weight, and (C,) of a level by the
-    converter's step.
+    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
-    noise, precision = noises[0], lag_duration_prior(fit)
+    precision, period_s = lag_duration_prior(fit), 1.0 / float(poles.frequency_hz.min())
     spread, follows = covariances(point, [misfit**2] * len(point.blocks), precision)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    coloured = coloured_roots(problem, fit, precision, noises[1] / scaled)
+    errors = [error / scaled for error in converter_errors(records, problem, period_s)]
+    coloured = coloured_roots(problem, fit, precision, errors)
     spread = widen_for_lags(fit, spread + coloured[0] @ coloured[0].T)
     model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
