@@ -210,7 +210,7 @@ def converter_steps(records: Sequence[StepRecord]) -> FloatArray:
     for record in records:
         for c, row in enumerate(record.samples):
             steps[c] = min(steps[c], float(np.min(np.diff(np.unique(row)), initial=np.inf)))
-    return np.where(np.isfinite(steps), steps, 0.0)
+    return np.asarray(np.where(np.isfinite(steps), steps, 0.0))
 
 
 def noise_with_steps(noise: FloatArray, steps: FloatArray) -> FloatArray:
@@ -218,24 +218,44 @@ def noise_with_steps(noise: FloatArray, steps: FloatArray) -> FloatArray:
 
     An error that noise does not spread follows the signal, so that noise is taken as larger.
     """
-    return np.maximum(noise, (1.0 + _UNSPREAD * _left(noise**2, steps)) * steps / np.sqrt(12.0))
+    return np.asarray(np.maximum(noise, (1.0 + _UNSPREAD * _left(noise**2, steps)) * steps / np.sqrt(12.0)))
 
 
-def converter_errors(records: Sequence[StepRecord], problem: StepProblem, period_s: float) -> list[FloatArray]:
+def converter_errors(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit) -> list[FloatArray]:
     """Return, of each record, standard uncertainties (A, C) of its means by rounding that nothing spreads.
 
-    The variance within a period, of noise and ringing, decides.
+    The noise at rest and the variance by ringing, within a period of the lowest mode, decide.
     """
     from scipy.ndimage import uniform_filter1d
 
-    steps, errors = converter_steps(records), []
+    steps, period_s = converter_steps(records), 1.0 / float(fit.poles.frequency_hz.min())
+    rests = [
+        record.samples[:, record.time_s < release.middle_s - release.duration_s]
+        for record, release in zip(records, fit.releases, strict=True)
+    ]
+    noise = np.median([[_dither(row, step) for row, step in zip(rest, steps, strict=True)] for rest in rests], axis=0)
+    errors = []
     for record, prepared in zip(records, problem.records, strict=True):
         size = max(_SHORTEST, round(period_s * record.sample_rate_hz))
         mean, square = (uniform_filter1d(record.samples**power, size, axis=1, mode="nearest") for power in (1, 2))
-        variance = np.maximum(square - mean**2, 0.0)
+        variance = np.maximum(square - mean**2, (noise**2 + steps**2 / 12.0)[:, None])
         error = steps[:, None] / np.sqrt(12.0) * _left(variance, steps[:, None])
         errors.append(average_blocks(error, int(prepared.samples.length[0])).T)
     return errors
+
+
+def _dither(row: FloatArray, step: float) -> float:
+    """Return the standard deviation of Gaussian noise before rounding, 0 if samples (N,) at rest have only two values.
+
+    From the shares of samples below the second value and above the last but one.
+    """
+    from scipy.special import ndtri
+
+    values, counts = np.unique(row, return_counts=True)
+    if len(values) < 3 or step <= 0.0:
+        return 0.0
+    low, high = counts[0] / len(row), 1.0 - counts[-1] / len(row)
+    return float((values[-1] - values[0] - step) / (ndtri(high) - ndtri(low))) if low < high else 0.0
 
 
 def _left(variance: FloatArray, steps: FloatArray) -> FloatArray:

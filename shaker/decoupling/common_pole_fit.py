@@ -290,10 +290,10 @@ def multi_fit(
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
-    precision, period_s = lag_duration_prior(fit), 1.0 / float(poles.frequency_hz.min())
+    precision = lag_duration_prior(fit)
     spread, follows = covariances(point, [misfit**2] * len(point.blocks), precision)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    errors = [error / scaled for error in converter_errors(records, problem, period_s)]
+    errors = [error / scaled for error in converter_errors(records, problem, fit)]
     coloured = coloured_roots(problem, fit, precision, errors)
     spread = widen_for_lags(fit, spread + coloured[0] @ coloured[0].T)
     model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
