@@ -437,7 +437,7 @@ RELEASE_SHAPE_MISFIT = DeclaredNotice(
     "SC-395",
     "warning",
     "The residual of the model is {factor:.1f} times the noise of {channel}.",
-    effect="The time course of the load may be neither a ramp nor half a cosine.",
+    effect="The time course of the load may be none of the fitted shapes.",
     remedy="Use another release device, or check the record for disturbances.",
     link="decoupling.md",
 )

@@ -361,7 +361,53 @@ def test_equally_likely_durations_of_releases_are_in_the_uncertainty():
     for release in found.releases:
         assert abs(release.duration_s - sensor.release_s) < 2.5 * release.u_duration_s + 0.005 * sensor.release_s
     others = (DURATION_AMBIGUOUS.code, DURATION_UNLIKELY.code, RELEASE_SHAPE_AMBIGUOUS.code)
-    assert any("Fx" in str(notice.values.get("loads", notice.where)) for notice in found.notices if notice.code in others)
+    assert any(
+        "Fx" in str(notice.values.get("loads", notice.where)) for notice in found.notices if notice.code in others
+    )
+
+
+def _released_along(times: FloatArray, shares: FloatArray, noise: float = 0.003) -> list[StepRecord]:
+    """Releases of the sensor, two of each load, whose load goes from 0 to 1 by `shares` at `times` over their scale."""
+    rng, records = np.random.default_rng(7), []
+    own, time_s = SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive), np.arange(28000) / (10e3 * SENSOR.finer)
+    for d, name in enumerate(SENSOR.loads):
+        for k in range(2):
+            scale_s, amplitude = 0.6e-3 * rng.uniform(0.7, 1.3), -float(SENSOR.size[d])
+            load = amplitude * np.interp((time_s - 20e-3) / scale_s, times, shares)
+            samples = SENSOR.outputs(load, d) + noise * own[:, None] * rng.standard_normal((3, 1400))
+            records.append(StepRecord(f"{name}-{k}", SENSOR.loads, "V", samples, 10e3, name, amplitude))
+    return records
+
+
+EXPONENTIAL = np.linspace(0.0, 12.0, 600)
+
+
+@pytest.mark.parametrize(
+    ("times", "shares", "shape"),
+    [
+        (EXPONENTIAL, -np.expm1(-2.0 * EXPONENTIAL), "exponential"),
+        (np.array([0.0, 0.8, 1.8, 2.6]), np.array([0.0, 0.4, 0.4, 1.0]), "stages"),
+    ],
+)
+def test_other_shapes_of_releases_are_no_modes_of_the_sensor(times, shares, shape):
+    found = fit_steps(_released_along(times, shares))
+    assert {release.shape for release in found.releases} == {shape}
+    assert len(found.model.real_hz) == 1
+    assert np.sqrt(np.mean(_scores(found.model) ** 2)) < 1.6
+
+
+@pytest.mark.slow
+def test_rounding_of_quiet_outputs_is_in_the_uncertainty_of_the_static_gains():
+    rounded, step = [], 2e-3 * SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive)
+    for record in SENSOR.releases(8, share=2e-4):
+        rounded.append(replace(record, samples=np.round(record.samples / step[:, None]) * step[:, None]))
+    model = fit_steps(rounded).model
+    scores = []
+    for d in range(3):
+        slope, covariance = model.column_sensitivity(d, np.zeros(1))
+        u = np.sqrt(np.einsum("kcp,pq,kcq->kc", slope.real, covariance, slope.real))[0]
+        scores.append((model.static_gain[:, d] - SENSOR.response(np.zeros(1))[0].real[:, d]) / u)
+    assert np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
 def test_hum_is_no_mode_of_the_sensor():
