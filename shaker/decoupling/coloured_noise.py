@@ -1,4 +1,4 @@
-"""Noise of releases that is not white: hum and drift as unknowns, colour and a coarse converter in the covariance."""
+"""Noise of releases that is not white: hum, drift, colour, and coarse converters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FEWEST = 4  # blocks at rest per tap, at least
 
 
 def whitening_filter(rests: Sequence[FloatArray]) -> tuple[float, ...]:
-    """Return the taps of a filter that makes noise (N, C) white with the same variance, none for white noise.
+    """Return the taps of a filter that whitens noise (N, C), none for white noise.
 
     The prediction error of an autoregression, common to all outputs, from their mean correlation.
     """
@@ -57,7 +57,7 @@ _AS_HUM = (0.05, 0.1)  # distance from a line over the mains, and damping ratio,
 
 
 def with_hum(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming]) -> tuple[StepProblem, Poles]:
-    """Return the problem with significant hum and drift as unknowns of all records, and the poles without them."""
+    """Return the problem with significant hum and drift as unknowns, and the other poles."""
     series = len(problem.records) * problem.records[0].samples.value.shape[1]  # outputs of all records
     best = problem, poles, criterion(problem, poles, problem.point(poles, releases).loss)
     for base in _MAINS_HZ:
@@ -85,7 +85,7 @@ def _with_lines(problem: StepProblem, lines_hz: tuple[float, ...]) -> StepProble
 
 
 def _without_hum(poles: Poles, base_hz: float) -> Poles:
-    """Return poles without lightly damped ones near multiples of the mains; at least the strongest remains."""
+    """Return poles without lightly damped ones near multiples of the mains, if others remain."""
     order = poles.frequency_hz / base_hz
     near = np.abs(order - np.maximum(np.round(order), 1.0)) < _AS_HUM[0]
     hum = near & (poles.damping_ratio < _AS_HUM[1]) & (np.round(order) <= _ORDERS[-1])
@@ -104,7 +104,9 @@ _WIDE = 8  # lines over the number in a mean
 def coloured_roots(
     problem: StepProblem, fit: PoleFit, precision: FloatArray, errors: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return roots (P, K), (D·C·(2M + Q), K) of the covariance of parameters and coefficients beyond white noise.
+    """Return roots (P, K), (D·C·(2M + Q), K) of the covariance beyond white noise.
+
+    Of parameters, and of coefficients.
 
     The density of each output's residual, a mean over records and neighbouring lines, beyond its variance. The fit
     absorbs most of the slowest lines, which have the density of the octave above. `errors`: (A, C) of each record by a
@@ -153,7 +155,9 @@ def coloured_roots(
 def _tables(
     problem: StepProblem, fit: PoleFit, component: str, coefficients: FloatArray
 ) -> Iterator[tuple[int, FloatArray, FloatArray, slice]]:
-    """Yield, for each record of a load, columns (A, B + R) that span its changes, weights, and rows of its basis.
+    """Yield each record of a load with columns (A, B + R), weights, rows of its basis.
+
+    The columns span all changes of the record.
 
     Of the changes with the parameters, weights (C, p, R) are those of the columns orthogonal to the basis.
     """
@@ -178,7 +182,7 @@ def _lines_hz(problem: StepProblem, record: int) -> FloatArray:
 
 
 def _excess(problem: StepProblem, fit: PoleFit) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies (K,) and the density (K, C) of the residual beyond its variance, over that of the weights."""
+    """Return frequencies (K,) and the density (K, C) of the residual beyond its variance."""
     rests = dict(by_record(problem, fit))
     longest = max(rests, key=lambda i: len(rests[i]))
     grid_hz = _lines_hz(problem, longest)
@@ -222,7 +226,7 @@ def noise_with_steps(noise: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def converter_errors(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit) -> list[FloatArray]:
-    """Return, of each record, standard uncertainties (A, C) of its means by rounding that nothing spreads.
+    """Return standard uncertainties (A, C) of each record by rounding that nothing spreads.
 
     The noise at rest and the variance by ringing, within a period of the lowest mode, decide.
     """
@@ -245,9 +249,9 @@ def converter_errors(records: Sequence[StepRecord], problem: StepProblem, fit: P
 
 
 def _dither(row: FloatArray, step: float) -> float:
-    """Return the standard deviation of Gaussian noise before rounding, 0 if samples (N,) at rest have only two values.
+    """Return the standard deviation of noise (N,) before rounding, 0 for two values.
 
-    From the shares of samples below the second value and above the last but one.
+    Of Gaussian noise, from the shares of samples below the second value and above the last but one.
     """
     from scipy.special import ndtri
 
@@ -259,7 +263,7 @@ def _dither(row: FloatArray, step: float) -> float:
 
 
 def _left(variance: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the share of the rounding's error of a level that a variance leaves, including that of rounding.
+    """Return the share of a level's rounding error that a variance of samples leaves.
 
     Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²), with the step q.
     """

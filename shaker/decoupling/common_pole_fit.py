@@ -148,7 +148,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 
 
 def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
-    """Return the indices of the records by release device; unnamed ones of one load are alike."""
+    """Return the indices of the records by release device, else by load."""
     names = [record.release or record.component for record in records]
     return [[i for i, name in enumerate(names) if name == one] for one in dict.fromkeys(names)]
 
@@ -442,7 +442,7 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
 
 
 def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
-    """Yield notices on releases that could have other shapes or durations, and on a lag that may be theirs."""
+    """Yield notices on other possible shapes or durations of releases, and lags."""
     for other in others:
         pairs, more = list(zip(other.releases, fit.releases, strict=True)), other.loss - fit.loss
         reshaped = [i for i, (one, best) in enumerate(pairs) if one.shape != best.shape]

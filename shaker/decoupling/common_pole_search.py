@@ -117,7 +117,7 @@ def select_pole_count(
 def try_other_shapes(
     problem: StepProblem, fit: PoleFit, devices: Sequence[Sequence[int]]
 ) -> tuple[PoleFit, list[AlternativeTimes]]:
-    """Return the fit with the best shape of the releases by each device, and the shapes that are not rejected.
+    """Return the fit with the best shape of each device's releases, and likely others.
 
     All releases by a device, given by the indices of their records, have one shape. Stages are tried if no other shape
     leaves noise alone.
@@ -150,7 +150,7 @@ def try_other_shapes(
 def _best_times(
     problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int]
 ) -> tuple[float, tuple[ReleaseTiming, ...]]:
-    """Return the loss and the best times for fixed poles of the loads that some records belong to."""
+    """Return loss and best times for fixed poles of the loads of some records."""
     times, total = list(releases), 0.0
     for component in dict.fromkeys(problem.records[i].component for i in indices):
         selected = problem.record_indices(component)
@@ -214,7 +214,7 @@ def _exponentials(fit: PoleFit) -> tuple[int, float]:
 
 
 def _exchanged(problem: StepProblem, fit: PoleFit) -> list[PoleFit]:
-    """Return the fit in which the slowest lag and exponential releases are exchanged, none without both.
+    """Return the fit with slowest lag and exponential releases exchanged, none without both.
 
     A sensor behind the lag 1/a answers a release with the time constant 1/b as one behind 1/b answers that with 1/a.
     Only releases of different time constants tell which belongs to the sensor.

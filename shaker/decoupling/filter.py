@@ -434,7 +434,7 @@ def crosstalks(
 
 
 def _share_within_range(model: MultiModel, change: FloatArray) -> float:
-    """Return the share of a sampled change that is applied; with it every pole still decays."""
+    """Return the share of a sampled change with which every pole still decays."""
     f, z, hz = (np.abs(part) for part in (model.frequency_hz, model.damping_ratio, model.real_hz))
     room = np.concatenate([f, np.minimum(z, 1.0 - z), hz])
     return min(_SHORTENED, _ROOM / float(np.max(np.abs(change[: len(room)]) / room)))

@@ -23,7 +23,7 @@ STATIC_SHARE = 8.0 / 3.0  # relative change of the secant stiffness over that of
 
 @dataclass(frozen=True)
 class AmplitudeDependence:
-    """Poles that change with a power of the amplitude: those of the first mode (R,) at amplitudes of the records.
+    """First poles (R,) of records that change with a power of the amplitude.
 
     `ends`: poles (R,) without the change, at the largest amplitude, and at `smallest` times that.
     """
@@ -40,9 +40,18 @@ class AmplitudeDependence:
 
     @property
     def static_share(self) -> float:
-        """Relative change of the static sensitivity with the load, that of a cubic spring; 0 for other powers."""
+        """Relative change of the static sensitivity by a cubic spring, otherwise 0."""
         (small, _), (large, _) = (_modal(poles) for poles in self.ends[:2])
         return STATIC_SHARE * float(np.mean(large / small - 1.0)) if self.power == _POWERS[0] else 0.0
+
+    def widened(self, measured: Resonances) -> Resonances:
+        """Return measured resonances whose uncertainties include the ends of the range."""
+        others = [self.resonances(measured, end) for end in range(len(self.ends))]
+        f, z = measured.frequency_hz, measured.damping_ratio
+        far_f = np.max([np.abs(one.frequency_hz - f) for one in others], axis=0)
+        far_z = np.max([np.abs(one.damping_ratio - z) for one in others], axis=0)
+        u_f, u_z = np.hypot(measured.u_frequency_hz, far_f), np.hypot(measured.u_damping_ratio, far_z)
+        return Resonances(measured.names, f, u_f, z, u_z)
 
     def resonances(self, measured: Resonances, end: int) -> Resonances:
         """Return measured resonances with the first mode at an end of the range."""
@@ -58,7 +67,7 @@ def _modal(poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 
 class _Change(NamedTuple):
-    """Change of a constant pole and with the amplitude, and χ² of the latter (two degrees of freedom)."""
+    """Change of a pole, constant and with the amplitude, and χ² of the latter."""
 
     constant: complex
     with_amplitude: complex
@@ -88,7 +97,7 @@ def amplitude_dependence(decays: Sequence[FreeDecay], poles: Sequence[ComplexArr
 
 
 def _change(decay: FreeDecay, poles: ComplexArray, power: int) -> _Change:
-    """Return the change of the first pole of a record with a power of its amplitude."""
+    """Return the change of a record's first pole with a power of its amplitude."""
     rate = max(float(-poles[0].real), 1e-3 * abs(poles[0]))
     time_s = decay.time_s - decay.time_s[0]
     part = FreeDecay(decay.name, decay.time_s, decay.value, decay.decimation)

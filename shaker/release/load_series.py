@@ -313,6 +313,8 @@ def identify_loads(
     """
     observed, unit = measured, output.mass_unit
     measured, foreign = belonging(measured, masses)
+    if (dependence := amplitude_dependence(decays, poles) if poles else None) is not None:
+        measured = dependence.widened(measured)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
     used = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
     different = sum(len(np.unique(masses.load[used[:, mode]])) for mode in range(2))  # repeats do not count
@@ -329,7 +331,6 @@ def identify_loads(
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     where, notices = output.component, list[Notice]()
-    dependence = amplitude_dependence(decays, poles) if poles else None
     ends: list[Resonances] = []
     if dependence is not None:
         ends += [dependence.resonances(measured, end) for end in range(len(dependence.ends))]
@@ -367,7 +368,7 @@ def _damped_as_at(measured: Resonances, hertz: float) -> Resonances:
 
 
 def _loss_factor(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, elastic: bool) -> float | None:
-    """Return χ² of dampings by a constant loss factor, None unless it explains them clearly better."""
+    """Return χ² of dampings by a constant loss factor, None if not clearly better."""
     from scipy.special import chdtrc
 
     if fit.dof[1] < 1 or float(chdtrc(fit.dof[1], fit.chi_squared[1])) >= CHANCE:
@@ -378,7 +379,9 @@ def _loss_factor(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, ela
 
 
 def _with_range(fit: SeriesFit, ends: Sequence[Resonances], masses: SeriesMasses) -> SeriesFit:
-    """Return a fit whose covariance includes linear models at the ends of a range, as arcsine distributions."""
+    """Return a fit whose covariance includes the linear models of a range.
+
+    Its ends are those of arcsine distributions."""
     if fit.covariance is None:
         return fit
     covariance = fit.covariance
