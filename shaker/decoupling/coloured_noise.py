@@ -155,7 +155,7 @@ def coloured_roots(
 def _tables(
     problem: StepProblem, fit: PoleFit, component: str, coefficients: FloatArray
 ) -> Iterator[tuple[int, FloatArray, FloatArray, slice]]:
-    """Yield each record of a load with columns (A, B + R), weights, rows of its basis.
+    """Yield each record of a load with columns (A, B + R), weights, basis rows.
 
     The columns span all changes of the record.
 
