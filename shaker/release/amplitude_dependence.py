@@ -1,4 +1,4 @@
-"""Amplitude dependence of a decay: springs that soften and friction, and the linear models within their range."""
+"""Amplitude dependence of a decay, by springs that soften and by friction."""
 
 from __future__ import annotations
 
