@@ -405,6 +405,24 @@ MASS_CONTRADICTED = DeclaredNotice(
     remedy="Weigh the part again.",
     link="load.md",
 )
+AMPLITUDE_DEPENDENT = DeclaredNotice(
+    "SC-882",
+    "warning",
+    "From the largest amplitude to {share_percent:.0f} % of it, the resonance changes by {f_percent:+.2g} % and the "
+    "damping ratio by {zeta_percent:+.2g} %.",
+    effect="The spring softens, or there is friction. U includes the linear models within this range of amplitude.",
+    remedy="Use the model within this range, or record smaller loads.",
+    link="load.md",
+)
+LOSS_FACTOR = DeclaredNotice(
+    "SC-883",
+    "warning",
+    "A constant loss factor explains the damping better than dampers: χ² {chi2:.3g} instead of {viscous:.3g}, {dof} "
+    "degrees of freedom.",
+    effect="The dampers depend on frequency. U includes their values from {low_hz:.4g} Hz to {high_hz:.4g} Hz.",
+    remedy="Use the model within this range of resonances.",
+    link="load.md",
+)
 
 # Models with common poles for decoupling.
 
@@ -436,7 +454,7 @@ RELEASE_SHAPE_MISFIT = DeclaredNotice(
     "SC-395",
     "warning",
     "The residual of the model is {factor:.1f} times the noise of {channel}.",
-    effect="The time course of the load may be neither a ramp nor half a cosine.",
+    effect="The time course of the load may be none of the fitted shapes.",
     remedy="Use another release device, or check the record for disturbances.",
     link="decoupling.md",
 )
@@ -454,6 +472,22 @@ DURATION_UNLIKELY = DeclaredNotice(
     "Release {record} lasted {duration_ms:.3g} ms, or less likely {other_ms:.3g} ms (χ² differs by {difference:.1f}).",
     effect="U includes both durations.",
     remedy="Record a release of another duration.",
+    link="decoupling.md",
+)
+RELEASE_SHAPE_AMBIGUOUS = DeclaredNotice(
+    "SC-880",
+    "note",
+    "The releases of {loads} may have had the shape {shape} or {other} (χ² differs by {difference:.1f}).",
+    effect="The records do not distinguish both shapes; U includes both.",
+    remedy="Record releases of another duration.",
+    link="decoupling.md",
+)
+LAG_OR_RELEASE = DeclaredNotice(
+    "SC-881",
+    "warning",
+    "The sensor may have the lag {lag_us:.4g} µs or {other_us:.4g} µs (χ² differs by {difference:.1f}).",
+    effect="An exponential release acts like a lag; the records do not show which one the sensor has. U includes both.",
+    remedy="Record releases of another duration, or measure the force.",
     link="decoupling.md",
 )
 

@@ -7,17 +7,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shaker.decoupling.coloured_noise import (
+    coloured_roots,
+    converter_errors,
+    converter_steps,
+    noise_with_steps,
+    whitening_filter,
+    with_hum,
+)
 from shaker.decoupling.common_pole_search import (
     PoleCountTrial,
     add_first_lag,
     drop_weak_modes,
     equally_likely,
     select_pole_count,
-    select_release_shape,
     try_other_durations,
+    try_other_shapes,
 )
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
+    SHAPE_NAMES,
+    TIMES,
     PoleFit,
     ReleaseTiming,
     StepProblem,
@@ -34,6 +44,8 @@ from shaker.model_notices import (
     DURATION_AMBIGUOUS,
     DURATION_UNLIKELY,
     FIT_NOT_CONVERGED,
+    LAG_OR_RELEASE,
+    RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SHAPE_MISFIT,
     RELEASE_SIZE_SCATTER,
     RELEASE_TOO_SLOW,
@@ -49,6 +61,7 @@ from shakercal._common.notices import Notice
 _PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
 _LEAST_BLOCKS = 1200  # per record, if it has as many samples
 _MIN_DISTANCE = 2.0  # of different poles, in decay rates
+_REST = 1.5  # durations of a release before its middle, from which the record is at rest
 _NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
 _BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
@@ -108,17 +121,22 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         middle_s, duration_s, shape = initial_release(raw)
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
+    noise = noise_with_steps(noise, converter_steps(records))
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
+    candidate = add_first_lag(problem, start, tuple(releases))
+    problem, start = with_hum(problem, *candidate)
+    releases = list(candidate[1])
     lasts_s = 1.0 / float(np.min(-start.values.real))
     cut = []
     for record, release in zip(problem.records, releases, strict=True):
         before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
-    near = replace(problem, records=tuple(cut))
-    fit, trials = select_pole_count(near, add_first_lag(near, start, tuple(releases)), most_modes, most_reals)
-    fit, others = try_other_durations(near, fit)
-    fit = select_release_shape(problem, near, fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR))
+    near, devices = replace(problem, records=tuple(cut)), _devices(records)
+    fit, trials = select_pole_count(near, (start, tuple(releases)), most_modes, most_reals)
+    fit, shapes = try_other_shapes(near, fit, devices)
+    fit, durations = try_other_durations(near, fit)
+    fit, others = fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR), [*durations, *shapes]
     refined_noise = noise * misfits(problem, fit)
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / refined_noise))
@@ -127,6 +145,12 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
     return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
+
+
+def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
+    """Return the indices of the records by release device, else by load."""
+    names = [record.release or record.component for record in records]
+    return [[i for i, name in enumerate(names) if name == one] for one in dict.fromkeys(names)]
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
@@ -154,13 +178,18 @@ def _posed(
         decays.append((rest - level) / noise[:, None])
     size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
     size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
-    sampled = []
-    for record in records:
+    sampled, rests = [], []
+    for record, release in zip(records, releases, strict=True):
         data = average_blocks(record.samples, size).T / (noise / np.sqrt(size))
         time_s = record.start_s + np.arange(len(data)) * size / rate
-        lengths = np.full(len(data), size, dtype=np.int64)
-        samples = BlockMeans(time_s, lengths, data - data.mean(axis=0), 1.0 / rate)
+        rests.append(data[: np.searchsorted(time_s, release.middle_s - _REST * release.duration_s)])
+        samples = BlockMeans(time_s, np.full(len(data), size, dtype=np.int64), data, 1.0 / rate)
         sampled.append(WhitenedRecord(record.name, record.component, record.amplitude, samples))
+    whitening = whitening_filter(rests)
+    sampled = [replace(one, whitening=whitening) for one in sampled]
+    sampled = [
+        replace(one, samples=replace(one.samples, value=one.without_level(one.samples.value))) for one in sampled
+    ]
     swings = _swings(
         [average_blocks(part, size) for part in decays], [record.component for record in records], rate / size
     )
@@ -185,6 +214,8 @@ def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) 
 # Result of a fit, in the units of the records.
 
 _COLOURED = 2.0  # residual over the noise above which a notice is given
+_ABOVE, _LINES = 1.5, 40  # highest frequency over the highest mode at which models are compared, and the number
+_OTHER_LAG = 0.1  # relative difference of lags above which they are different
 _SCATTERED = 3.0  # scatter of releases over their noise above which a notice is given
 
 
@@ -259,12 +290,15 @@ def multi_fit(
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
-    spread, follows = covariances(point, [misfit**2] * len(point.blocks), lag_duration_prior(fit))
-    spread = widen_for_lags(fit, spread)
+    precision = lag_duration_prior(fit)
+    spread, follows = covariances(point, [misfit**2] * len(point.blocks), precision)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
+    errors = [error / scaled for error in converter_errors(records, problem, fit)]
+    coloured = coloured_roots(problem, fit, precision, errors)
+    spread = widen_for_lags(fit, spread + coloured[0] @ coloured[0].T)
     model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
-    shift = np.array([one.vector - model.vector for one in alternatives]).reshape(-1, len(model.vector)) / far
+    shift = np.array([_difference(model, one) for one in alternatives]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
     releases = _releases(problem, records, fit, spread + later.T @ later)
@@ -276,7 +310,7 @@ def multi_fit(
             outputs[c] = poles.smooth @ follow
             outputs[c][:, : poles.count] += (poles.smooth_slopes @ coefficients[:, c]).T
     elements = [follow for outputs in follows for follow in outputs]
-    covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)))
+    covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)), coloured)
     size = model.shared * len(model.channels)
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         rows = slice(model.shared + d * size, model.shared + (d + 1) * size)
@@ -303,6 +337,28 @@ def multi_fit(
     )
 
 
+def _difference(model: MultiModel, other: MultiModel) -> FloatArray:
+    """Return the change (P,) of a model's vector that gives another's responses to first order.
+
+    Responses are not linear in the poles: the residues change so that they are met best.
+    """
+    n, highest = model.shared, float(max(model.frequency_hz.max(), other.frequency_hz.max()))
+    poles = np.concatenate([one.vector[:n] for one in (other, model)]).reshape(2, n)
+    lines = np.concatenate([np.zeros(1), np.geomspace(1e-2, _ABOVE, _LINES) * highest])
+    change = other.response(lines) - model.response(lines)
+    weight = 1.0 / np.sqrt(np.mean(np.abs(model.response(lines)) ** 2, axis=(1, 2)))
+    basis, moved = model.common_poles.basis(lines) * weight[:, None], poles[0] - poles[1]
+    whole = [moved]
+    unit = np.concatenate([np.ones(2 * len(model.frequency_hz)), 1.0 / model.real_hz])  # of poles in Hz
+    for d, c in np.ndindex(len(model.components), len(model.channels)):
+        residues = np.concatenate([model.residue[:, c, d], model.real_residue[:, c, d]])
+        slope = model.common_poles.response_slopes(lines, residues) * unit
+        left = (change[:, c, d] - slope @ moved) * weight
+        both = [np.concatenate([part.real, part.imag]) for part in (basis, left)]
+        whole.append(np.linalg.lstsq(both[0], both[1], rcond=None)[0])
+    return np.concatenate(whole)
+
+
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
     """Return the model of a fit; `scaled` (C,) was the weight."""
     parts = [fit.poles.smooth @ coefficients for coefficients in fit.solution.point.coefficients]
@@ -314,7 +370,7 @@ def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
     """Return the standard deviation of each output's residual over its weight, all records together."""
     rests = np.concatenate([rest for _, rest in by_record(problem, fit)])
     free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
-    free += (fit.poles.count + 2 * len(fit.releases)) / rests.shape[1]
+    free += (fit.poles.count + sum(release.free for release in fit.releases)) / rests.shape[1]
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
@@ -322,7 +378,7 @@ def _releases(
     problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
     """Return the fitted release of every record, in the order of the records."""
-    times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, 2).tolist()
+    times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, TIMES).tolist()
     rests, results = dict(by_record(problem, fit)), []
     for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
         data = record.samples.value
@@ -386,11 +442,23 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
 
 
 def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
-    """Yield notices on loads whose releases could have other durations."""
+    """Yield notices on other possible shapes or durations of releases, and lags."""
     for other in others:
-        pairs = list(zip(other.releases, fit.releases, strict=True))
+        pairs, more = list(zip(other.releases, fit.releases, strict=True)), other.loss - fit.loss
+        reshaped = [i for i, (one, best) in enumerate(pairs) if one.shape != best.shape]
+        if reshaped:
+            loads = ", ".join(dict.fromkeys(problem.records[i].component for i in reshaped))
+            best, other_shape = (SHAPE_NAMES[pairs[reshaped[0]][k].shape] for k in (1, 0))
+            yield Notice(RELEASE_SHAPE_AMBIGUOUS, "model", loads=loads, difference=more, shape=best, other=other_shape)
+            continue
+        lags = [np.sort(1e6 / (2.0 * np.pi * one.poles.real_hz)) for one in (fit, other)]
+        if len(lags[0]) and any(best.shape == "exponential" for _, best in pairs):
+            k = int(np.argmax(np.abs(np.log(lags[1] / lags[0]))))
+            if abs(np.log(lags[1][k] / lags[0][k])) > _OTHER_LAG:
+                yield Notice(LAG_OR_RELEASE, "model", lag_us=lags[0][k], other_us=lags[1][k], difference=more)
+                continue
         i = int(np.argmax([abs(np.log(one.duration_s / best.duration_s)) for one, best in pairs]))
-        more, record = other.loss - fit.loss, problem.records[i]
+        record = problem.records[i]
         yield Notice(
             DURATION_AMBIGUOUS if more < NORMAL_QUANTILE_95**2 else DURATION_UNLIKELY,
             record.component,

@@ -10,7 +10,6 @@ import numpy as np
 
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import PoleCandidate, PoleFit, ReleaseTiming, StepProblem, by_record, fit_poles
-from shaker.release.load_response import MOMENTS
 from shaker.release.record import ReleaseShape, shared_poles
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import REJECT_CHI2, SeparablePoint
@@ -20,8 +19,10 @@ _CANDIDATES = 3  # poles of a residual that are tried per load
 _FEW_STEPS = 12  # of a fit near its minimum
 _ROUGH = 2.0  # gain of a step of a comparison, in variances
 _ALONG_A_VALLEY = (40, 0.1)  # steps and smallest gain for a lag, which acts almost like a later and longer release
-_AS_LONG = (1.25, 1.35, 1.45, 1.55)
-"""Trial durations of half a cosine over that of a similar ramp: 1.33 by second moment, more for fast modes."""
+_SHAPES: tuple[ReleaseShape, ...] = ("ramp", "smooth", "exponential", "stages")
+_STAGES = (0.35, 0.5, 0.65)  # trial shares of the load in a first stage
+_STAGES_PRICE = 1.03  # a loss without stages that is lower by more than this is no chance of imperfectly white noise
+_EXPLAINED = 1.02  # mean square residual over the noise below which no further shape is tried
 _LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
 _SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
 _REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
@@ -29,8 +30,8 @@ _HIGHEST_REAL = 0.45  # share of the sampling rate
 _RESOLVED_SAMPLES = 2.0  # duration below which the shape is not resolved
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5  # mean square residual over the noise
-_CLEARLY = 10.0  # significant difference of the loss
 _DURATION_FACTORS = (0.75, 1.4)
+_BELOW_NOISE = 0.8  # mean square residual over the noise at rest below which no further pole is needed
 _HARDLY_MORE = 12.0  # excess loss for fixed poles above which no fit of all parameters is below `REJECT_CHI2`
 _MIN_DIFFERENCE = 0.1  # relative, of different durations
 _STRONG = 0.5
@@ -61,19 +62,34 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
     A lag is always fitted: even one too fast to be observed changes the ringing, and a model without it claims too
     much.
     """
-    offers: list[PoleCandidate] = []
+    offers: list[tuple[float, PoleCandidate]] = []
+
+    def offer(lagged: Poles, moved: Sequence[ReleaseTiming]) -> None:
+        times = []
+        for i, one in enumerate(moved):
+            shares = _STAGES if one.shape == "stages" else (one.share,)
+            ends = [_timed(problem.part([i]), lagged, [replace(one, share=share)]) for share in shares]
+            times.append(min(ends, key=lambda end: end.loss).releases[0])
+        offers.append((problem.point(lagged, times).loss, (lagged, tuple(times))))
+
+    starts = []
     for share in _LAGS:
         hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
-        late_s = 1.0 / (2.0 * np.pi * hz)
-        moved = []
+        late_s, moved = 1.0 / (2.0 * np.pi * hz), []
         for release in releases:
-            square = release.duration_s**2 - late_s**2 / MOMENTS[release.shape]
-            shortest = _SHORTEST * release.duration_s
-            shorter = float(np.sqrt(max(square, shortest**2)))
-            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
-        times = [_timed(problem.part([i]), poles.with_real(hz), [one]).releases[0] for i, one in enumerate(moved)]
-        offers.append((poles.with_real(hz), tuple(times)))
-    return min(offers, key=lambda offer: problem.point(*offer).loss)
+            shorter = float(np.sqrt(max(1.0 - late_s**2 / release.moment_s2, _SHORTEST**2)))
+            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter * release.duration_s))
+        starts.append((poles.with_real(hz), moved))
+    for shape in (None, *_SHAPES[-2:]):
+        if min((loss for loss, _ in offers), default=np.inf) > _EXPLAINED * problem.values:
+            for lagged, moved in starts:
+                offer(lagged, moved if shape is None else [release.in_shape(shape) for release in moved])
+    return min(offers, key=lambda pair: pair[0] * _price(pair[1][1][0].shape))[1]
+
+
+def _price(shape: ReleaseShape) -> float:
+    """Return the factor on a loss by which a shape with further parameters is charged."""
+    return _STAGES_PRICE if shape == "stages" else 1.0
 
 
 def select_pole_count(
@@ -98,29 +114,51 @@ def select_pole_count(
     return fit, trials
 
 
-def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit with the significantly better shape of each release.
+def try_other_shapes(
+    problem: StepProblem, fit: PoleFit, devices: Sequence[Sequence[int]]
+) -> tuple[PoleFit, list[AlternativeTimes]]:
+    """Return the fit with the best shape of each device's releases, and likely others.
 
-    `near`: the problem restricted to the samples around the releases, which determine the shape.
+    All releases by a device, given by the indices of their records, have one shape. Stages are tried if no other shape
+    leaves noise alone.
     """
-    releases = tuple(
-        _better_shape(near, fit, i) if release.duration_s > _RESOLVED_SAMPLES * problem.step_s else release
-        for i, release in enumerate(fit.releases)
-    )
-    return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    releases, others = fit.releases, list[AlternativeTimes]()
+    for indices in devices:
+        if max(releases[i].duration_s for i in indices) < _RESOLVED_SAMPLES * problem.step_s:
+            continue
+        loads = {problem.records[i].component for i in indices}
+        values = sum(record.samples.value.size for record in problem.records if record.component in loads)
+        tried: list[tuple[float, tuple[ReleaseTiming, ...]]] = []
+        for shape in _SHAPES:
+            if shape == "stages" and min(end[0] for end in tried) < _EXPLAINED * values:
+                continue
+            starts = list(releases)
+            for i in indices:
+                starts[i] = starts[i] if starts[i].shape == shape else starts[i].in_shape(shape)
+            tried.append(_best_times(problem, fit.poles, starts, indices))
+        order = sorted(tried, key=lambda end: end[0] * _price(end[1][indices[0]].shape))
+        releases = order[0][1]
+        for loss, times in order[1:]:
+            if loss < order[0][0] + _HARDLY_MORE and times[indices[0]].shape != "stages":
+                others.append((list(indices), tuple(times[i] for i in indices)))
+    if releases == fit.releases:
+        return fit, others
+    other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(fit, other, key=lambda fitted: fitted.loss), others
 
 
-def _better_shape(problem: StepProblem, fit: PoleFit, record: int) -> ReleaseTiming:
-    """Return one release in the better of both shapes, the other with its best duration."""
-    near = problem.record_indices(problem.records[record].component)
-    part, release = problem.part(near), fit.releases[record]
-    other: ReleaseShape = "smooth" if release.shape == "ramp" else "ramp"
-    ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
-    tried = [release, *(replace(release, shape=other, duration_s=ratio * release.duration_s) for ratio in ratios)]
-    candidates = [[one if i == record else fit.releases[i] for i in near] for one in tried]
-    losses = [part.point(fit.poles, releases).loss for releases in candidates]
-    best = int(np.argmin(losses))
-    return tried[best] if losses[best] < losses[0] - _CLEARLY else release
+def _best_times(
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int]
+) -> tuple[float, tuple[ReleaseTiming, ...]]:
+    """Return loss and best times for fixed poles of the loads of some records."""
+    times, total = list(releases), 0.0
+    for component in dict.fromkeys(problem.records[i].component for i in indices):
+        selected = problem.record_indices(component)
+        end = _timed(problem.part(selected), poles, [times[i] for i in selected])
+        total += end.loss
+        for i, release in zip(selected, end.releases, strict=True):
+            times[i] = release
+    return total, tuple(times)
 
 
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
@@ -157,8 +195,9 @@ def equally_likely(
     for indices, times in others:
         releases = list(fit.releases)
         for i, release in zip(indices, times, strict=True):
-            releases[i] = replace(fit.releases[i], middle_s=release.middle_s, duration_s=release.duration_s)
+            releases[i] = release
         found.append(fit_poles(problem, fit.poles, releases))
+    found += [other for one in sorted(found, key=_exponentials)[-1:] for other in _exchanged(problem, one)]
     found.sort(key=lambda fitted: fitted.loss)
     likely = found[:1]
     for one in found[1:]:
@@ -169,8 +208,30 @@ def equally_likely(
     return likely[0], tuple(likely[1:])
 
 
+def _exponentials(fit: PoleFit) -> tuple[int, float]:
+    """Return the number of exponential releases, then the negative loss."""
+    return sum(release.shape == "exponential" for release in fit.releases), -fit.loss
+
+
+def _exchanged(problem: StepProblem, fit: PoleFit) -> list[PoleFit]:
+    """Return the fit with slowest lag and exponential releases exchanged, none without both.
+
+    A sensor behind the lag 1/a answers a release with the time constant 1/b as one behind 1/b answers that with 1/a.
+    Only releases of different time constants tell which belongs to the sensor.
+    """
+    if not len(fit.poles.real_hz) or all(release.shape != "exponential" for release in fit.releases):
+        return []
+    lag, late_s = int(np.argmin(fit.poles.real_hz)), float(np.median([np.sqrt(one.moment_s2) for one in fit.releases]))
+    other_s, real_hz = 1.0 / (2.0 * np.pi * float(fit.poles.real_hz[lag])), fit.poles.real_hz.copy()
+    real_hz[lag] = 1.0 / (2.0 * np.pi * late_s)
+    releases = [ReleaseTiming(one.middle_s + other_s - late_s, 2.0 * other_s, "exponential") for one in fit.releases]
+    return [fit_poles(problem, replace(fit.poles, real_hz=real_hz), releases)]
+
+
 def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
-    """Return whether some release has a clearly different duration."""
+    """Return whether some release has a clearly different duration, or another shape."""
+    if any(a.shape != b.shape for a, b in zip(one, other, strict=True)):
+        return True
     lengths = np.array([(a.duration_s, b.duration_s) for a, b in zip(one, other, strict=True)])
     return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_MIN_DIFFERENCE * lengths.max(axis=1), problem.step_s)))
 
@@ -193,9 +254,12 @@ def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTi
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters); a lag has one."""
+    """Return N·ln(loss/N) + ln(N)·(number of parameters); a lag has one.
+
+    A loss far below that of the noise at rest counts no further.
+    """
     count = problem.values
-    return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
+    return float(count * np.log(max(loss / count, _BELOW_NOISE)) + _charge(problem, poles))
 
 
 def _charge(problem: StepProblem, poles: Poles) -> float:

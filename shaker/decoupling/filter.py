@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -142,6 +143,7 @@ class DecouplingFilter(
 _DELAYS = 32  # samples, longest delay that is tried
 _GAIN_LEFT = 2.0  # error of a short delay over that of the longest
 _SMALL = 1e-2  # error over the load that is sufficient
+_STATE_NOISE = (0.0, 1e-12, 1e-10, 1e-8)  # trial variances of further noise, over the mean of the driven states
 _REAL = 1e-9  # relative imaginary part of a real pole
 
 
@@ -257,13 +259,13 @@ class _KalmanGains(Arrays):
 
 def _smoother(plant: StateSpace, desired: StateSpace, delay: int) -> _KalmanGains:
     """Return the steady Kalman filter of both systems with smoothing, in unit sizes."""
-    from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
+    from scipy.linalg import block_diag, solve_discrete_lyapunov
 
     a, b = block_diag(plant.a, desired.a), np.concatenate([plant.b, desired.b])
     c = np.concatenate([plant.c, np.zeros((len(plant.c), len(desired.a)))], axis=1)
     shown = np.concatenate([np.zeros((len(desired.c), len(plant.a))), desired.c], axis=1)
     r, s = np.eye(len(c)) + plant.d @ plant.d.T, b @ plant.d.T
-    p = solve_discrete_are(a.T, c.T, b @ b.T, r, s=s)
+    p = _steady_covariance(a, b, c, (r, s))
     spread = c @ p @ c.T + r
     k = np.linalg.solve(spread, (a @ p @ c.T + s).T).T
     m = a - k @ c
@@ -280,6 +282,21 @@ def _smoother(plant: StateSpace, desired: StateSpace, delay: int) -> _KalmanGain
     moved = solve_discrete_lyapunov(desired.a, desired.b @ desired.b.T)
     size = np.diag(desired.c @ moved @ desired.c.T + desired.d @ desired.d.T)
     return _KalmanGains(m, k, c, shown, gains, before - explained, size)
+
+
+def _steady_covariance(a: FloatArray, b: FloatArray, c: FloatArray, noise: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the covariance of the predicted states.
+
+    States that the loads hardly drive make the equation ill-conditioned; they then get a small noise of their own.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    drive, (r, s) = b @ b.T, noise
+    for share in _STATE_NOISE:
+        with suppress(ValueError, np.linalg.LinAlgError):
+            added = share * np.trace(drive) / len(a) * np.eye(len(a))
+            return np.asarray(solve_discrete_are(a.T, c.T, drive + added, r, s=s))
+    raise ValueError("model: expected poles and residues of which a steady filter can be computed, found others")
 
 
 def _assembled(
@@ -324,6 +341,7 @@ Reader: TypeAlias = FloatArray | DecouplingFilter
 _DECAYS = 5.0  # time constants of the slowest mode
 _LONGEST = 20000  # samples of a step response
 _SHORTENED = 0.05  # share of a sampled deviation, within the linear range
+_ROOM = 0.5  # largest relative change of a pole by it
 
 
 @dataclass(frozen=True, repr=False)
@@ -393,7 +411,11 @@ def crosstalks(
         raise ValueError("model: expected one with covariance, found none")
     time_s, response, stages = step_times(model, decoupler), model.response(frequency_hz), []
     changes = rng.standard_normal((draws, len(model.vector))) @ _root(model.covariance).T
-    near = [model.with_vector(model.vector + _SHORTENED * change).step(time_s) for change in changes]
+    shares = [_share_within_range(model, change) for change in changes]
+    near = [
+        model.with_vector(model.vector + share * change).step(time_s)
+        for share, change in zip(shares, changes, strict=True)
+    ]
     steps = model.step(time_s)
     for stage, reader in stage_readers(model, decoupler, noise).items():
         shown = (
@@ -404,11 +426,18 @@ def crosstalks(
         reads = _reads(reader, len(time_s))
         readings = reads(steps)
         peak = np.max(np.abs(readings), axis=0)
-        moved = [readings + (reads(one) - readings) / _SHORTENED for one in near]
+        moved = [readings + (reads(one) - readings) / share for share, one in zip(shares, near, strict=True)]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
     return tuple(stages)
+
+
+def _share_within_range(model: MultiModel, change: FloatArray) -> float:
+    """Return the share of a sampled change with which every pole still decays."""
+    f, z, hz = (np.abs(part) for part in (model.frequency_hz, model.damping_ratio, model.real_hz))
+    room = np.concatenate([f, np.minimum(z, 1.0 - z), hz])
+    return min(_SHORTENED, _ROOM / float(np.max(np.abs(change[: len(room)]) / room)))
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:

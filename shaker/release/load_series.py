@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,8 @@ import numpy as np
 from shaker.labels import mechanical_units, typeset
 from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
+    AMPLITUDE_DEPENDENT,
+    LOSS_FACTOR,
     MASS_CONTRADICTED,
     NO_SERIES_UNCERTAINTY,
     SCATTER_UNCERTAINTY,
@@ -19,6 +21,7 @@ from shaker.model_notices import (
     TWO_MASSES_ASSUMED,
     TWO_MASSES_SUFFICIENT,
 )
+from shaker.release.load_amplitudes import load_amplitudes
 from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import (
     SEARCH,
@@ -31,8 +34,8 @@ from shaker.release.load_modes import (
     coloured_normal,
     project_amplitudes,
 )
-from shakercal._common.arrays import FloatArray
-from shakercal._common.fitting import WhitenedResiduals, levenberg_marquardt
+from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.fitting import REJECT_CHI2, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
@@ -267,6 +270,7 @@ def identify_loads(
     output: SeriesOutput,
     decays: tuple[FreeDecay, ...] = (),
     noise: FloatArray | None = None,
+    poles: Sequence[ComplexArray] = (),
 ) -> LoadIdentification:
     """Identify the model that resonances of R records support.
 
@@ -282,6 +286,8 @@ def identify_loads(
         free decays of the R records, default none: the model is fitted to the resonances alone
     noise
         (R,) standard deviations of the records' residuals, output unit, default None
+    poles
+        (M,) upper poles of the modes of every decay, default none: dependence on the amplitude is not tested
 
     Returns
     -------
@@ -307,6 +313,8 @@ def identify_loads(
     """
     observed, unit = measured, output.mass_unit
     measured, foreign = belonging(measured, masses)
+    if (dependence := load_amplitudes(decays, poles) if poles else None) is not None:
+        measured = dependence.widened(measured)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
     used = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
     different = sum(len(np.unique(masses.load[used[:, mode]])) for mode in range(2))  # repeats do not count
@@ -322,8 +330,22 @@ def identify_loads(
         chosen = tuple(replace(fit, scatter=(0.0, 0.0)) for fit in joint) if from_records else chosen
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
-    models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
     where, notices = output.component, list[Notice]()
+    ends: list[Resonances] = []
+    if dependence is not None:
+        ends += [dependence.resonances(measured, end) for end in range(len(dependence.ends))]
+        static = output.sensitivity * dependence.static_share / np.sqrt(2.0)  # either end: an arcsine distribution
+        output = replace(output, u_sensitivity=float(np.hypot(output.u_sensitivity, static)))
+        f, z = dependence.changes
+        share, size = 100.0 * dependence.smallest, {"f_percent": 100.0 * f, "zeta_percent": 100.0 * z}
+        notices.append(Notice(AMPLITUDE_DEPENDENT, where, share_percent=share, **size))
+    if (loss := _loss_factor(measured, masses, chosen[0], supported)) is not None:
+        ends += [_damped_as_at(measured, hertz) for hertz in _range_hz(measured)]
+        low, high = _range_hz(measured)
+        dof, before = chosen[0].dof[1], chosen[0].chi_squared[1]
+        notices.append(Notice(LOSS_FACTOR, where, chi2=loss, viscous=before, dof=dof, low_hz=low, high_hz=high))
+    chosen = tuple(_with_range(fit, ends, masses) for fit in chosen)
+    models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
     if foreign:
         modes = ", ".join(f"{observed.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
         notices.append(Notice(SECOND_MODE_EXCLUDED, where, modes=modes))
@@ -331,6 +353,44 @@ def identify_loads(
     notices += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
     text = f"{reason.text} {reason.effect}"
     return LoadIdentification(rigid, elastic, chosen, from_records, models, text, tuple(notices))
+
+
+def _range_hz(measured: Resonances) -> tuple[float, float]:
+    """Return the lowest and the highest first resonance."""
+    return float(np.min(measured.frequency_hz[:, 0])), float(np.max(measured.frequency_hz[:, 0]))
+
+
+def _damped_as_at(measured: Resonances, hertz: float) -> Resonances:
+    """Return resonances whose dampers are those of a constant loss factor at one frequency."""
+    factor = measured.frequency_hz / hertz
+    z, u = measured.damping_ratio * factor, measured.u_damping_ratio * factor
+    return Resonances(measured.names, measured.frequency_hz, measured.u_frequency_hz, z, u)
+
+
+def _loss_factor(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, elastic: bool) -> float | None:
+    """Return χ² of dampings by a constant loss factor, None if not clearly better."""
+    from scipy.special import chdtrc
+
+    if fit.dof[1] < 1 or float(chdtrc(fit.dof[1], fit.chi_squared[1])) >= CHANCE:
+        return None
+    other = fit_resonances(_damped_as_at(measured, _range_hz(measured)[0]), masses, rigid=not elastic)
+    chi_squared = min(one.chi_squared[1] for one in other)
+    return chi_squared if chi_squared < fit.chi_squared[1] - REJECT_CHI2 else None
+
+
+def _with_range(fit: SeriesFit, ends: Sequence[Resonances], masses: SeriesMasses) -> SeriesFit:
+    """Return a fit whose covariance includes the linear models of a range.
+
+    Its ends are those of arcsine distributions."""
+    if fit.covariance is None:
+        return fit
+    covariance = fit.covariance
+    for end in ends:
+        problem = SeriesProblem(end, masses, rigid=len(fit.numbers) == 2)
+        x, _ = _refined(problem, problem.unknowns(fit), fit.scatter)
+        move = np.concatenate([problem.numbers(x), problem.deviates(x)]) - np.concatenate([fit.numbers, fit.deviates])
+        covariance = covariance + np.outer(move, move) / 2.0
+    return replace(fit, covariance=covariance)
 
 
 def _supports(

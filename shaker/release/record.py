@@ -143,6 +143,7 @@ _REST_SHARE = 0.005  # share of the record that is at rest in the first step of 
 _FINAL_SHARE = 0.2  # share of the samples after the release that give the new level
 _MOTION_SIGMAS = 5.0  # significant deviation of a sample from the baseline, in standard deviations
 _MIN_SUCCESSIVE = 3  # successive samples beyond a level
+_ROUNDING = 1e-12  # relative change of a level that is rounding of its mean
 _REST_GUARD_SHARE = 0.9  # share of the samples before the first motion that are certainly at rest
 
 
@@ -164,8 +165,10 @@ class ApproximateOnset:
 
     @property
     def signal_to_noise(self) -> float:
-        """Change of level over the noise of a sample."""
-        return abs(self.steady - self.baseline) / max(self.noise, 1e-300)
+        """Change of level over the noise of a sample, 0 for a constant output."""
+        change = abs(self.steady - self.baseline)
+        rounding = _ROUNDING * max(abs(self.baseline), abs(self.steady))
+        return change / max(self.noise, 1e-300) if change > rounding else 0.0
 
     @property
     def max_ramp_samples(self) -> float:

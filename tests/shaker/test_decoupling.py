@@ -21,10 +21,10 @@ from shaker.decoupling.filter import (
 from shaker.decoupling.model import MultiModel, check_separable, missing_loads, sampled_modes, sort_components
 from shaker.decoupling.response_fit import ResponseFit, Responses, fit_responses
 from shaker.model_notices import (
-    DOUBTFUL_MODE,
     DURATION_AMBIGUOUS,
     DURATION_UNLIKELY,
     MODEL_MISFIT,
+    RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SIZE_SCATTER,
     RELEASE_TOO_SLOW,
 )
@@ -286,7 +286,7 @@ def test_releases_give_poles_residues_and_noise(released):
     np.testing.assert_allclose(released.noise, expected, rtol=0.05)
     assert np.all(released.variance_accounted > 0.997)
     assert len(released.releases) == 6
-    assert released.notices == ()
+    assert {notice.code for notice in released.notices} <= {RELEASE_SHAPE_AMBIGUOUS.code}
 
 
 def test_filter_removes_the_true_sensors_crosstalk_in_a_release_too(released, three_loads):
@@ -360,22 +360,67 @@ def test_equally_likely_durations_of_releases_are_in_the_uncertainty():
     assert np.all(np.abs(_scores(found.model, sensor)) < 3.5)
     for release in found.releases:
         assert abs(release.duration_s - sensor.release_s) < 2.5 * release.u_duration_s + 0.005 * sensor.release_s
-    durations = (DURATION_AMBIGUOUS.code, DURATION_UNLIKELY.code)
-    (notice,) = (notice for notice in found.notices if notice.code in durations)
-    assert notice.where == "Fx"
+    others = (DURATION_AMBIGUOUS.code, DURATION_UNLIKELY.code, RELEASE_SHAPE_AMBIGUOUS.code)
+    assert any(
+        "Fx" in str(notice.values.get("loads", notice.where)) for notice in found.notices if notice.code in others
+    )
 
 
-def test_hum_that_is_fitted_as_a_mode_gives_a_notice():
+def _released_along(times: FloatArray, shares: FloatArray, noise: float = 0.003) -> list[StepRecord]:
+    """Releases of the sensor, two of each load, whose load goes from 0 to 1 by `shares` at `times` over their scale."""
+    rng, records = np.random.default_rng(7), []
+    own, time_s = SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive), np.arange(28000) / (10e3 * SENSOR.finer)
+    for d, name in enumerate(SENSOR.loads):
+        for k in range(2):
+            scale_s, amplitude = 0.6e-3 * rng.uniform(0.7, 1.3), -float(SENSOR.size[d])
+            load = amplitude * np.interp((time_s - 20e-3) / scale_s, times, shares)
+            samples = SENSOR.outputs(load, d) + noise * own[:, None] * rng.standard_normal((3, 1400))
+            records.append(StepRecord(f"{name}-{k}", SENSOR.loads, "V", samples, 10e3, name, amplitude))
+    return records
+
+
+EXPONENTIAL = np.linspace(0.0, 12.0, 600)
+
+
+@pytest.mark.parametrize(
+    ("times", "shares", "shape"),
+    [
+        (EXPONENTIAL, -np.expm1(-2.0 * EXPONENTIAL), "exponential"),
+        (np.array([0.0, 0.8, 1.8, 2.6]), np.array([0.0, 0.4, 0.4, 1.0]), "stages"),
+    ],
+)
+def test_other_shapes_of_releases_are_no_modes_of_the_sensor(times, shares, shape):
+    found = fit_steps(_released_along(times, shares))
+    assert {release.shape for release in found.releases} == {shape}
+    assert len(found.model.real_hz) == 1
+    assert np.sqrt(np.mean(_scores(found.model) ** 2)) < 1.6
+
+
+@pytest.mark.slow
+def test_rounding_of_quiet_outputs_is_in_the_uncertainty_of_the_static_gains():
+    rounded, step = [], 2e-3 * SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive)
+    for record in SENSOR.releases(8, share=2e-4):
+        rounded.append(replace(record, samples=np.round(record.samples / step[:, None]) * step[:, None]))
+    model = fit_steps(rounded).model
+    scores = []
+    for d in range(3):
+        slope, covariance = model.column_sensitivity(d, np.zeros(1))
+        u = np.sqrt(np.einsum("kcp,pq,kcq->kc", slope.real, covariance, slope.real))[0]
+        scores.append((model.static_gain[:, d] - SENSOR.response(np.zeros(1))[0].real[:, d]) / u)
+    assert np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_hum_is_no_mode_of_the_sensor():
     """50 Hz of a third of the noise in every output, at any phase."""
     rng, records = np.random.default_rng(5), []
     noise = 0.003 * SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive)
     for record in SENSOR.releases(1):
         turn = 2.0 * np.pi * (50.0 * record.time_s + rng.uniform())
         records.append(replace(record, samples=record.samples + np.sqrt(2.0) * noise[:, None] * np.sin(turn)))
-    found = fit_steps(records)
-    assert np.sort(found.model.frequency_hz) == pytest.approx([50.0, *SENSOR.frequency_hz], rel=0.02)
-    (notice,) = (notice for notice in found.notices if notice.code == DOUBTFUL_MODE.code)
-    assert notice.values["frequency_hz"] == pytest.approx(50.0, abs=1.0)
+    model = fit_steps(records).model
+    assert np.all(np.abs(model.frequency_hz - 50.0) > 5.0)
+    for frequency in SENSOR.frequency_hz:
+        assert np.min(np.abs(model.frequency_hz - frequency) / model.u.frequency_hz) < 3.5
 
 
 def test_a_mode_faster_than_every_release_of_a_load_gives_a_notice(released):

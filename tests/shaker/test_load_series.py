@@ -10,10 +10,13 @@ from contracts import coverage_contract, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from release_factory import other_numbers, reading_of, two_masses
+from scipy.integrate import solve_ivp
 from scipy.signal import StateSpace, lsim
 
 from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
+    AMPLITUDE_DEPENDENT,
+    LOSS_FACTOR,
     MASS_CONTRADICTED,
     SECOND_MODE_EXCLUDED,
     SERIES_SCATTER,
@@ -363,3 +366,52 @@ def test_u_of_a_band_covers_the_ends_of_sampled_models(damping_ratio, u_damping)
         assert u[0] == pytest.approx(np.std(bands), rel=0.05)
     else:
         assert seen.low[0] < 0.8 * value  # at the two ends of the model the band ends before and behind the peak
+
+
+SPRING, DAMPER = 2.36e6, 6.0
+
+
+def _decay_of(load: float, softening: float, drag: float, rng: np.random.Generator) -> FreeDecay:
+    """Decay of a rigid load from a displacement of 1, integrated: k·(1 - s·q²), c·(1 + d·|q'|/ω)."""
+    mass, omega = MOVING + load, float(np.sqrt(SPRING / (MOVING + load)))
+
+    def motion(_: float, x: np.ndarray) -> list[float]:
+        damping = DAMPER / mass * (1.0 + drag * abs(x[1]) / omega)
+        return [x[1], -(omega**2) * x[0] * (1.0 - softening * x[0] ** 2) - damping * x[1]]
+
+    time_s = np.arange(2000) / 8e3
+    found = solve_ivp(motion, (0.0, 0.25), [1.0, 0.0], "DOP853", time_s, rtol=1e-9, atol=1e-12)
+    return FreeDecay(f"{load:g}", time_s, found.y[0] + 0.003 * rng.standard_normal(2000), 1)
+
+
+def _identified(softening: float, drag: float):
+    rng, loads = np.random.default_rng(3), np.array([0.0, 0.05, 0.2])
+    decays = tuple(_decay_of(load, softening, drag, rng) for load in loads)
+    modes = [record_modes(decay) for decay in decays]
+    noise = np.array([one.noise for one in modes])
+    masses = stated_masses(MOVING, 2e-5, loads, 0.0 * loads)
+    return identify_loads(as_resonances(modes), masses, OUTPUT, decays, noise, tuple(one.poles for one in modes))
+
+
+@pytest.mark.parametrize(("softening", "drag"), [(0.005, 0.0), (0.0, 0.5)])
+def test_linear_models_within_the_amplitudes_are_in_the_uncertainty(softening, drag):
+    found = _identified(softening, drag)
+    assert AMPLITUDE_DEPENDENT.code in {notice.code for notice in found.notices}
+    off = np.abs(found.model.vector - [SPRING, DAMPER])
+    assert np.all(off < 2.0 * np.sqrt(np.diag(found.model.covariance)))
+
+
+def test_a_linear_spring_depends_on_no_amplitude():
+    assert AMPLITUDE_DEPENDENT.code not in {notice.code for notice in _identified(0.0, 0.0).notices}
+
+
+def test_a_constant_loss_factor_is_named_and_its_dampers_are_in_the_uncertainty():
+    eta, loads = 0.008, np.array([0.0, 0.05, 0.1, 0.2])
+    first = np.sqrt(SPRING / (MOVING + loads)) / (2.0 * np.pi)
+    seen = stated_resonances(first, 1e-5 * first)
+    zeta = np.stack([np.full(4, eta / 2.0), np.full(4, np.nan)], axis=1)
+    seen = replace(seen, damping_ratio=zeta, u_damping_ratio=3e-3 * zeta)
+    found = identify_loads(seen, stated_masses(MOVING, 0.0, loads), OUTPUT)
+    assert LOSS_FACTOR.code in {notice.code for notice in found.notices}
+    dampers = eta * np.sqrt(SPRING * (MOVING + loads))
+    assert np.all(np.abs(found.model.damping - dampers) < 2.0 * np.sqrt(found.model.covariance[1, 1]))

@@ -147,22 +147,22 @@ def evaluate_decoupling(
     inputs = _read(manifests)
     try:
         fit = fit_steps([item.record for item in inputs])
-    except ValueError as error:
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise _unexplained(error, manifests[0]) from error
     mountings = [manifest.mounting for manifest in manifests]
     influences = stated_influences(manifests[0].rig, mountings, mounting_scatter=False)
     fit = replace(fit, model=influences.on_outputs(fit.model))
     target = _target(fit, settings)
-    try:
-        decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(declared.NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
     top_hz = min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz)
     spaced = np.geomspace(float(modes_hz.min()) / 100.0, top_hz, LINES)
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
-    stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
+    try:
+        decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
+        stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise ComputeError(declared.NO_DECOUPLING_FILTER, reason=str(error)) from error
     sensor, names = manifests[0].rig.sensor, fit.model.components
     stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
     rated = np.array([stated[LOAD_COMPONENTS.index(name)] for name in names])
@@ -221,7 +221,7 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
     return inputs
 
 
-def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
+def _unexplained(error: Exception, manifest: Manifest) -> InputError | ComputeError:
     """Return the error of a fit; inseparable loads are an error of the files."""
     key = str(error).partition(": ")[0]
     if key not in ("channels", "components"):

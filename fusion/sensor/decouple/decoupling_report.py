@@ -46,6 +46,7 @@ from fusion.sensor.unmodelled_effects import budget_table
 from shaker.decoupling.common_pole_fit import ReleaseFit
 from shaker.decoupling.common_pole_search import PoleCountTrial
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
+from shaker.decoupling.release_problem import SHAPE_NAMES
 from shaker.labels import load_unit, sensitivity_unit, typeset
 from shakercal._common.arrays import FloatArray
 
@@ -247,7 +248,7 @@ RELEASES: list[TableColumn[ReleaseFit]] = [
     page_column("released by", lambda release: release.release or DASH, "l"),
     page_column("middle / ms", lambda release: _ms(release.middle_s, release.u_middle_s)),
     page_column("duration / ms", lambda r: _ms(r.duration_s, r.u_duration_s) if r.duration_s else "step"),
-    page_column("along", lambda release: {"ramp": "line", "smooth": "half a cosine"}[release.shape], "l"),
+    page_column("along", lambda release: SHAPE_NAMES[release.shape], "l"),
     page_column("size − mean / %", lambda release: quantity_html(100 * (release.gain - 1), 100 * K2 * release.u_gain)),
     page_column("misfit", lambda release: small(float(release.misfit.max()))),
 ]

@@ -50,7 +50,7 @@ from shaker.release.load_modes import (
     stated_resonances,
 )
 from shaker.release.load_series import LoadIdentification, identify_loads
-from shakercal._common.arrays import FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of `shakercal load`.
@@ -110,6 +110,7 @@ class LoadSeries:
     decays: tuple[FreeDecay, ...]
     noise: FloatArray | None
     influences: ModelInfluences = TABLE_INFLUENCES
+    poles: tuple[ComplexArray, ...] = ()
 
 
 def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], tuple[Notice, ...]]:
@@ -180,6 +181,7 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
+        poles=tuple(item.poles for item in modes),
         influences=stated_influences(_rig_with_influences(manifests), mountings, NO_CAUSE),
     )
 
@@ -446,7 +448,9 @@ def evaluate_loads(
 def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     """Model and characteristics of one component."""
     try:
-        identified = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
+        identified = identify_loads(
+            series.measured, series.masses, series.output, series.decays, series.noise, series.poles
+        )
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise ComputeError(declared.NO_LOAD_MODEL, series.output.component, reason=str(error)) from error
     loads, moving = series.masses.load, series.masses.moving
@@ -480,7 +484,7 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     ]
     unlimited, where = LoadLimit(float("nan"), float("nan")), f"{series.output.component}, {{:.4g}} {unit}"
     (bands, u_bands, notices), (others, u_others, more) = (
-        _bands(model, masses, where) for masses in (loads, requested)
+        _bands(model, masses, u, where) for masses, u in ((loads, series.masses.u_load), (requested, 0.0 * requested))
     )
     return LoadSolution(
         model=model,
@@ -496,12 +500,17 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     )
 
 
-def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
+def _bands(
+    model: LoadModel, loads: FloatArray, u_loads: FloatArray, where: str
+) -> tuple[FloatArray, FloatArray, list[Notice]]:
     """Return bands (R, 2) of loads (R,), their u, and notices of nonlinear ones."""
     bands, u, notices = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
-    for index, load in enumerate(loads.tolist()):
+    for index, (load, u_load) in enumerate(zip(loads.tolist(), u_loads.tolist(), strict=True)):
         bands[index] = working_bands(model, load)
         if model.total_covariance is not None:
             u[index], seen = figures_u(model, partial(working_bands, load_mass=load))
+            if u_load > 0.0:
+                heavy, light = (working_bands(model, max(load + by, 0.0)) for by in (u_load, -u_load))
+                u[index] = np.hypot(u[index], 0.5 * (heavy - light))
             notices += [one.at(where.format(load)) for one in seen.notices(("band_5_hz", "band_10_hz"))]
     return bands, np.where(np.isnan(bands), np.nan, u), notices
