@@ -405,7 +405,7 @@ MASS_CONTRADICTED = DeclaredNotice(
     remedy="Weigh the part again.",
     link="load.md",
 )
-AMPLITUDE_DEPENDENT = DeclaredNotice(
+LOADS_AMPLITUDE_DEPENDENT = DeclaredNotice(
     "SC-882",
     "warning",
     "From the largest amplitude to {share_percent:.0f} % of it, the resonance changes by {f_percent:+.2g} % and the "

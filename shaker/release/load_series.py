@@ -10,7 +10,7 @@ import numpy as np
 from shaker.labels import mechanical_units, typeset
 from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
-    AMPLITUDE_DEPENDENT,
+    LOADS_AMPLITUDE_DEPENDENT,
     LOSS_FACTOR,
     MASS_CONTRADICTED,
     NO_SERIES_UNCERTAINTY,
@@ -338,7 +338,7 @@ def identify_loads(
         output = replace(output, u_sensitivity=float(np.hypot(output.u_sensitivity, static)))
         f, z = dependence.changes
         share, size = 100.0 * dependence.smallest, {"f_percent": 100.0 * f, "zeta_percent": 100.0 * z}
-        notices.append(Notice(AMPLITUDE_DEPENDENT, where, share_percent=share, **size))
+        notices.append(Notice(LOADS_AMPLITUDE_DEPENDENT, where, share_percent=share, **size))
     if (loss := _loss_factor(measured, masses, chosen[0], supported)) is not None:
         ends += [_damped_as_at(measured, hertz) for hertz in _range_hz(measured)]
         low, high = _range_hz(measured)

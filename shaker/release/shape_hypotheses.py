@@ -158,7 +158,7 @@ _FIRST_ORDER = 1e-3  # share of frequencies and lags by which they are moved for
 _SAME = 1e-3  # share of a hypothesis that is left beside farther ones, below which it is not another one
 
 
-class Alternative(NamedTuple):
+class OtherHypothesis(NamedTuple):
     """Another hypothesis: its number, and the model to which U is to extend.
 
     `distance` of the model in standard uncertainties; `change` (P,): of the parameters, of first order.
@@ -170,7 +170,7 @@ class Alternative(NamedTuple):
     change: FloatArray
 
 
-def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], lags: bool) -> list[Alternative]:
+def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], lags: bool) -> list[OtherHypothesis]:
     """Return hypotheses that are not rejected, the farthest first, each with its distance.
 
     `others`: models of the same structure, χ² above that of the first. `lags`: whether some attribute lags otherwise.
@@ -189,7 +189,7 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
             shift = _shift(here, to_coordinates(model, frame), modes, reals)
             found.append((number, shift / size / distance, distance))
     found.sort(key=lambda one: -float(one[1] @ one[1]))
-    result, directions = list[Alternative](), list[FloatArray]()
+    result, directions = list[OtherHypothesis](), list[FloatArray]()
     for number, unit, distance in found:
         rest = unit - sum(((unit @ other) / (other @ other) * other for other in directions), np.zeros(len(unit)))
         if rest @ rest <= _SAME**2 * (unit @ unit):
@@ -197,7 +197,7 @@ def alternatives(first: ModalModel, others: Sequence[tuple[ModalModel, float]], 
         directions.append(rest)
         moved = rest * size * distance
         end = first.with_vector(from_coordinates(here + moved, modes, reals, frame))
-        result.append(Alternative(number, end, distance, parameter_change(first, moved)))
+        result.append(OtherHypothesis(number, end, distance, parameter_change(first, moved)))
     return result
 
 

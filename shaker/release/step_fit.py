@@ -31,7 +31,7 @@ from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
 from shaker.release.shape_hypotheses import (
     HOPELESS,
-    Alternative,
+    OtherHypothesis,
     alternatives,
     exchange_lags,
     release_is_slower,
@@ -303,7 +303,7 @@ def _parameters(fit: StepFit) -> FloatArray:
     return np.zeros(0) if fit.model is None else fit.model.vector
 
 
-def alternative_fits(fits: Sequence[StepFit]) -> list[tuple[StepFit, Alternative]]:
+def alternative_fits(fits: Sequence[StepFit]) -> list[tuple[StepFit, OtherHypothesis]]:
     """Return the fits that are not rejected with their distances from the first."""
     first, others = fits[0], [(fit, fit.model) for fit in fits[1:] if fit.model is not None]
     if first.model is None:

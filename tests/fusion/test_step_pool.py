@@ -15,8 +15,8 @@ from fusion.sensor.model_notices import SHAPE_OF_DEVICE_UNDETERMINED
 from fusion.sensor.step.step_joint import averaged_model
 from fusion.sensor.step.step_pool import (
     OF_SHAPES,
+    HypothesisModel,
     PooledModel,
-    RivalModel,
     of_models,
     pool_models,
     random_effects_mean,
@@ -88,7 +88,7 @@ def test_the_effect_of_another_release_shape_does_not_average_out():
     """Of ten equal releases nine are by one device; their other shape is two standard uncertainties away."""
     distance = 4.0 * SPREAD
     others = of_models([model(VECTOR + distance, SPREAD)] * 9 + [model(VECTOR, SPREAD)])
-    alternative = RivalModel(others.mean_model, 2.0)
+    alternative = HypothesisModel(others.mean_model, 2.0)
     pooled = pool_models(of_models([model(VECTOR, SPREAD)] * 10), ["1"] * 10, 0.0, NO_INFLUENCES, [alternative])
     u, dof = pooled.spread(np.eye(10))
     assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(10), 0.9 * distance / 2.0), rel=1e-2)

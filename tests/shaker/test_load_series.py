@@ -15,7 +15,7 @@ from scipy.signal import StateSpace, lsim
 
 from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
-    AMPLITUDE_DEPENDENT,
+    LOADS_AMPLITUDE_DEPENDENT,
     LOSS_FACTOR,
     MASS_CONTRADICTED,
     SECOND_MODE_EXCLUDED,
@@ -396,13 +396,13 @@ def _identified(softening: float, drag: float):
 @pytest.mark.parametrize(("softening", "drag"), [(0.005, 0.0), (0.0, 0.5)])
 def test_linear_models_within_the_amplitudes_are_in_the_uncertainty(softening, drag):
     found = _identified(softening, drag)
-    assert AMPLITUDE_DEPENDENT.code in {notice.code for notice in found.notices}
+    assert LOADS_AMPLITUDE_DEPENDENT.code in {notice.code for notice in found.notices}
     off = np.abs(found.model.vector - [SPRING, DAMPER])
     assert np.all(off < 2.0 * np.sqrt(np.diag(found.model.covariance)))
 
 
 def test_a_linear_spring_depends_on_no_amplitude():
-    assert AMPLITUDE_DEPENDENT.code not in {notice.code for notice in _identified(0.0, 0.0).notices}
+    assert LOADS_AMPLITUDE_DEPENDENT.code not in {notice.code for notice in _identified(0.0, 0.0).notices}
 
 
 def test_a_constant_loss_factor_is_named_and_its_dampers_are_in_the_uncertainty():

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import count_text
 from fusion.sensor import model_notices as declared
-from fusion.sensor.step.step_pool import Contributions, RivalModel, of_joint, of_models
+from fusion.sensor.step.step_pool import Contributions, HypothesisModel, of_joint, of_models
 from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import (
     FAILURES,
@@ -27,8 +27,7 @@ from shaker.release.amplitude_dependence import EVENLY, amplitude_dependence
 from shaker.release.joint_fit import ReleasesFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
 from shaker.release.model_order import STEEP
-from shaker.release.shape_hypotheses import Alternative as LagAlternative
-from shaker.release.shape_hypotheses import with_both_lags
+from shaker.release.shape_hypotheses import OtherHypothesis, with_both_lags
 from shaker.release.step_fit import (
     BOTH_IN_CHAIN,
     PREFERENCE,
@@ -154,10 +153,10 @@ def common_structure(releases: Sequence[StepRelease]) -> Structure:
     return modes, max(reals for number, reals in structures if number == modes)
 
 
-class Alternative(NamedTuple):
+class OtherModel(NamedTuple):
     """The model for another shape of the load by one device, and its notice."""
 
-    model: RivalModel
+    model: HypothesisModel
     notice: Notice | None
 
 
@@ -165,7 +164,7 @@ class CommonModel(NamedTuple):
     """The contributions of releases to one model, and the models of other release shapes."""
 
     contributions: Contributions
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[OtherModel, ...]
 
 
 class _Rival(NamedTuple):
@@ -222,7 +221,7 @@ def _alternatives(
     joint: ReleasesFit,
     device: str,
     rivals: Sequence[_Rival],
-) -> Iterator[Alternative]:
+) -> Iterator[OtherModel]:
     """Yield the models of other hypotheses of a device, each with its notice."""
     release = next(release for release in releases if release.record.release == device)
     fits = [replace(_of_kind(release, kinds[device]), model=joint.model, excess=0.0)]
@@ -235,12 +234,12 @@ def _alternatives(
         both = with_both_lags(lags[0].model or joint.model, lags[0].release_s)
         excess = max(fit.excess for fit in lags)
         fits.append(replace(lags[0], model=both, attribution=BOTH_IN_CHAIN, excess=excess))
-    yield from _with_notices(fits, component, device, lambda fit, end: RivalModel(end.model, end.distance))
+    yield from _with_notices(fits, component, device, lambda fit, end: HypothesisModel(end.model, end.distance))
 
 
 def _with_notices(
-    fits: Sequence[StepFit], component: str, device: str, made: Callable[[StepFit, LagAlternative], RivalModel]
-) -> Iterator[Alternative]:
+    fits: Sequence[StepFit], component: str, device: str, made: Callable[[StepFit, OtherHypothesis], HypothesisModel]
+) -> Iterator[OtherModel]:
     """Yield the models that `made` returns for fits that are not rejected."""
     lag = lag_notice(fits, component)
     for fit, end in alternative_fits(fits):
@@ -249,11 +248,11 @@ def _with_notices(
             text = describe_difference(fits[0], fit)
             shapes = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=text)
             notice = shapes if text else None
-        yield Alternative(made(fit, end), notice)
+        yield OtherModel(made(fit, end), notice)
 
 
-def _amplitudes(releases: Sequence[StepRelease], model: ModalModel) -> Iterator[Alternative]:
-    """Yield the models of small and of the first amplitudes, if a release shows that they differ."""
+def _amplitudes(releases: Sequence[StepRelease], model: ModalModel) -> Iterator[OtherModel]:
+    """Yield the models of small and of the first amplitudes, if they differ."""
     found = []
     for fit in (release.shapes[0] for release in releases):
         dependence = None if fit.solution is None else amplitude_dependence(fit.solution)
@@ -263,7 +262,7 @@ def _amplitudes(releases: Sequence[StepRelease], model: ModalModel) -> Iterator[
     if found:
         largest = max(found, key=lambda one: float(np.abs(one.shifts).max()))
         for change in largest.changes(model):
-            yield Alternative(RivalModel(model.with_vector(model.vector + change), EVENLY), None)
+            yield OtherModel(HypothesisModel(model.with_vector(model.vector + change), EVENLY), None)
 
 
 _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a hypothesis is not fitted to all releases
@@ -278,19 +277,21 @@ def _may_be(releases: Sequence[StepRelease], kind: str, structure: Structure) ->
 def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonModel:
     """Return the mean of the models of releases that differ by more than their noise."""
     found = of_models([model for release in releases if (model := release.shapes[0].model) is not None])
-    alternatives = list[Alternative]()
+    alternatives = list[OtherModel]()
     for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
         ends = [
             {fit.hypothesis: end for fit, end in alternative_fits(r.shapes)} if r.record.release == device else {}
             for r in releases
         ]
 
-        def mean(fit: StepFit, end: LagAlternative, ends: Sequence[dict[str, LagAlternative]] = ends) -> RivalModel:
+        def mean(
+            fit: StepFit, end: OtherHypothesis, ends: Sequence[dict[str, OtherHypothesis]] = ends
+        ) -> HypothesisModel:
             models = [
                 of_release[fit.hypothesis].model if fit.hypothesis in of_release else release.shapes[0].model
                 for of_release, release in zip(ends, releases, strict=True)
             ]
-            return RivalModel(of_models([model for model in models if model is not None]).mean_model, end.distance)
+            return HypothesisModel(of_models([model for model in models if model is not None]).mean_model, end.distance)
 
         first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
         alternatives += _with_notices(first.shapes, component, device, mean)

@@ -156,7 +156,7 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> F
     return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full_like(wide, np.inf), where=wide > 0.0)) ** 2)
 
 
-class RivalModel(NamedTuple):
+class HypothesisModel(NamedTuple):
     """The model if one device released the load in another shape; its distance in u."""
 
     model: ModalModel
@@ -168,7 +168,7 @@ def pool_models(
     mountings: Sequence[str],
     u_scale: float = 0.0,
     influences: ModelInfluences = NO_INFLUENCES,
-    alternatives: Sequence[RivalModel] = (),
+    alternatives: Sequence[HypothesisModel] = (),
 ) -> PooledModel:
     """Return the model of R releases with the scatter between them.
 
