@@ -7,7 +7,7 @@ from typing import Any
 
 _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-figure]")].every((one) => {
   const { top, bottom } = one.getBoundingClientRect();
-  return "drawn" in one.dataset || bottom < 0 || top > innerHeight || bottom === top;
+  return "drawn" in one.dataset || bottom < 0 || top > innerHeight || !one.checkVisibility();
 })"""
 
 
