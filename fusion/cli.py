@@ -36,12 +36,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings would precede those of the program
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would search all packages for them
     with _ended_by_signals(), _terminals():
-        parser = _parser((sys.argv[1:] if arguments is None else arguments)[:1])
+        given = sys.argv[1:] if arguments is None else arguments
+        parser = _parser(given[:1])
         if "_ARGCOMPLETE" in os.environ:  # completion by the shell
             import argcomplete
 
             argcomplete.autocomplete(parser)
-        options = parser.parse_args(arguments)
+        if not given:
+            parser.print_help(sys.stderr)
+            return 2
+        options = parser.parse_args(given)
         _set_up_log(options)
         return _act(options)
 
@@ -207,8 +211,17 @@ def _parser(first: Sequence[str] = ()) -> Parser:
     loudness = common.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
+    every = commands()
+    names = [command.name for command in every]
+    if first and first[0] not in names and not first[0].startswith("-"):
+        from difflib import get_close_matches
+
+        near = get_close_matches(first[0], names, 1)
+        parser.error(
+            f"expected a command, found {first[0] or 'an empty text'}{f'; did you mean {near[0]}?' if near else ''}"
+        )
     parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in [one for one in commands() if one.name in first] or commands():
+    for command in [one for one in every if one.name in first] or every:
         summary = f"{command.help[0].upper()}{command.help[1:]}."
         epilog = f"example: {command.example}"
         sub_parser = parsers.add_parser(

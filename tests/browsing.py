@@ -7,7 +7,7 @@ from typing import Any
 
 _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-figure]")].every((one) => {
   const { top, bottom } = one.getBoundingClientRect();
-  return "drawn" in one.dataset || bottom < 0 || top > innerHeight;
+  return "drawn" in one.dataset || bottom < 0 || top > innerHeight || !one.checkVisibility();
 })"""
 
 
@@ -28,6 +28,7 @@ class Page:
     def draw(self, name: str) -> Any:
         """Bring a figure into view and wait for it."""
         figure = self.page.locator(f"figure[data-figure='{name}']")
+        figure.evaluate("one => one.closest('details')?.setAttribute('open', '')")
         for _ in range(2):  # others that come into view with it move it
             figure.evaluate("one => one.scrollIntoView({ block: 'center', behavior: 'instant' })")
             self.page.wait_for_function(_ALL_IN_VIEW_ARE_DRAWN)

@@ -432,6 +432,14 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     return render_page("campaign.html", context)
 
 
+def _page(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> str:
+    """Return the page of the campaign, or of its only recording."""
+    own = folders[0] / REPORT_FILE
+    if len(folders) > 1 or evaluation.failed or not own.is_file():
+        return render_campaign(evaluation)
+    return own.read_text(encoding="utf-8")
+
+
 def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
     """Return sensor, rigs, recordings, mountings and frequencies."""
     facts, sensor, recorded = [], evaluation.sensor, evaluation.recorded
@@ -483,7 +491,7 @@ def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], i
 
     def make(temporary: Path) -> list[str]:
         names = write_files(temporary, campaign_tables(evaluation, folders))
-        names += write_files(temporary, {REPORT_FILE: render_campaign(evaluation)})
+        names += write_files(temporary, {REPORT_FILE: _page(evaluation, folders)})
         return names + write_files(temporary, {CAMPAIGN_FILE: campaign_h5(evaluation, [*names, CAMPAIGN_FILE])})
 
     return write_together(top, make, lambda: CAMPAIGN_FILES, inputs.check)

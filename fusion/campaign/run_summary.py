@@ -183,7 +183,9 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
         for outcome in failed:
             print_text(f"{outcome.name}: {outcome.summary}")
         if done:
-            console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
+            console.print(
+                f"report{' of all' * (len(outcomes) > 1)}: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True
+            )
     for gathered in notices_of(done, campaign=campaign):
         single = not campaign or gathered.recordings == (CAMPAIGN,)
         notices.append((gathered, "" if single else f" ({gathered.concerned})"))

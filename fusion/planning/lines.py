@@ -17,7 +17,7 @@ from fusion.phasors.timing import tie_daqs
 from fusion.planning.planning_notices import NO_SIGNAL, NOT_FINITE
 from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
-from fusion.report.terminal import print_text, stdout_console
+from fusion.report.terminal import print_table, print_text
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel, Stacked
 from shaker.lines.detection import Survey, decibel, survey_lines
@@ -29,7 +29,7 @@ from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
-WHY, WHY_WIDTH = "what and why", 18
+WHY = "what and why"
 LISTED = "lines"
 """Location of notices whose content the table shows."""
 _SAME_U, _SAME_HZ = 6.0, 1e-6  # largest shift of a line when it is fitted together with others
@@ -220,10 +220,6 @@ def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[LineEntry]:
 
 def print_lines(lists: Sequence[ChannelLines]) -> None:
     """Print the lines to stdout, a table for each group of channels."""
-    from rich import box
-    from rich.table import Table
-
-    console = stdout_console()
     for item in lists:
         names, duration = ", ".join(item.channels), item.samples / item.rate_hz
         seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
@@ -233,18 +229,8 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
             print_text("  no line above the noise")
             continue
         rows = [_cells(item, entry) for entry in item.entries]
-        least = sum(max(len(head), *(len(row[head]) for row in rows)) + 2 for head in [*rows[0]][:-1]) + WHY_WIDTH
-        if least > console.width:
-            for row in rows:
-                print_text("  " + "; ".join(f"{head}: {cell}" for head, cell in row.items()))
-            continue
-        table = Table(box=box.SIMPLE, pad_edge=False)
-        for head in rows[0]:
-            numbers = head not in ("in channel", WHY)
-            table.add_column(head, justify="right" if numbers else "left", no_wrap=numbers, overflow="fold")
-        for row in rows:
-            table.add_row(*row.values())
-        console.print(table)
+        align = "".join("l" if head in ("in channel", WHY) else "r" for head in rows[0])
+        print_table("", [*rows[0]], align, [[[*row.values()] for row in rows]])
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
         print_text(f"{notice.severity} {notice.code}: {notice.text}")
     print_text(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from fusion.planning.planning_notices import (
     TOO_MANY_LISTED_LINES,
 )
 from fusion.report.table import R, TableColumn, csv_text, page_column
-from fusion.report.terminal import print_text, stdout_console
+from fusion.report.terminal import print_table, print_text
 from shaker.lines.rate_planner import (
     PREFERRED,
     PlannedLines,
@@ -33,10 +33,6 @@ from shaker.lines.rate_planner import (
 )
 from shaker.sine.aliasing import CLEAR_BINS
 from shakercal._common.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
 
 PER_NOISE = "noise per frame"
 MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # lines fitted at one point, and at all points: a plan takes some seconds
@@ -409,7 +405,7 @@ def _shown_noise(size: MotionSize) -> tuple[float, str]:
 
 def print_plan(plan: Plan) -> None:
     """Print the plan to stdout."""
-    console, request, sampling = stdout_console(), plan.request, plan.request.sampling
+    request, sampling = plan.request, plan.request.sampling
     frequencies = ", ".join(f"{f:.9g}" for f in request.frequency_hz)
     if len(request.frequency_hz) > SHOWN:
         ends = f"{min(request.frequency_hz):.9g} to {max(request.frequency_hz):.9g}"
@@ -422,10 +418,10 @@ def print_plan(plan: Plan) -> None:
         f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz",
     )
     if request.rate_hz is None:
-        _print_choices(console, plan)
+        _print_choices(plan)
     else:
         for point in plan.points:
-            _print_explained(console, request.size, point)
+            _print_explained(request.size, point)
     unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
     print_text(
         f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
@@ -444,24 +440,14 @@ def print_plan(plan: Plan) -> None:
         )
 
 
-def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
-    """Return a table for a terminal of some width, with a line between its sections."""
-    from rich.table import Table
-
+def _print_sections(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]]) -> None:
+    """Print a table with a line between its sections."""
     shown = [column for column in columns if column.head is not None]
-    cells = [[column.cell(row) for column in shown] for rows in sections for row in rows]
-    natural = 1 + sum(max(len(text) for text in texts) + 3 for texts in zip(*cells, strict=True))
-    boxed = Table(title=title, title_justify="left", padding=(0, 1 if natural <= width else 0))
-    for column in shown:
-        boxed.add_column(column.head or "", justify="right", overflow="fold")
-    for rows in sections:
-        for row in rows:
-            boxed.add_row(*(column.cell(row) for column in shown))
-        boxed.add_section()
-    return boxed
+    cells = [[[column.cell(row) for column in shown] for row in rows] for rows in sections]
+    print_table(title, [column.head or "" for column in shown], "r" * len(shown), cells)
 
 
-def _print_choices(console: Console, plan: Plan) -> None:
+def _print_choices(plan: Plan) -> None:
     """Print the rates of every point, and the smallest common set."""
     size, points, settle_s = plan.request.size, plan.points, plan.request.settle_s
     columns = _rate_columns(size)
@@ -485,7 +471,7 @@ def _print_choices(console: Console, plan: Plan) -> None:
         if point.choices
     ]
     if sections:
-        console.print(_boxed("Camera rates, best first", columns, sections, console.width))
+        _print_sections("Camera rates, best first", columns, sections)
     fewer = "fewer harmonics, or more exact frequencies (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
@@ -495,24 +481,22 @@ def _print_choices(console: Console, plan: Plan) -> None:
         print_text(served(first, "each at its first rate"))
         pairs = [zip(shared.points, shared.plans, strict=True) for shared in plan.shared]
         sections = [[row(excited[index], at_rate) for index, at_rate in pair] for pair in pairs]
-        console.print(_boxed("With as few rates as possible", columns, sections, console.width))
+        _print_sections("With as few rates as possible", columns, sections)
         rates = ", ".join(f"{shared.rate_hz:.3f}" for shared in plan.shared)
         number = "one rate" if len(plan.shared) == 1 else f"{len(plan.shared)} rates"
         plans = [at_rate for shared in plan.shared for at_rate in shared.plans]
         print_text(served(plans, f"with {number} ({rates} Hz)"))
     elif first:
         print_text(f"Time: {time_of(first)}")
-        _print_lines(console, size, first[0])
+        _print_lines(size, first[0])
 
 
-def _print_lines(console: Console, size: MotionSize, plan: RatePlan) -> None:
+def _print_lines(size: MotionSize, plan: RatePlan) -> None:
     """Print all lines of a point at one rate."""
-    console.print(
-        _boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)], console.width)
-    )
+    _print_sections(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)])
 
 
-def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> None:
+def _print_explained(size: MotionSize, point: PlanPoint) -> None:
     """Print the effect of the given rate on one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
@@ -524,7 +508,7 @@ def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> No
                 f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
                 f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
             )
-    _print_lines(console, size, plan)
+    _print_lines(size, plan)
     for frequency, alias in zip(plan.lines.fundamentals_hz, plan.alias_hz, strict=False):
         share = float(alias) / plan.rate_hz
         if share < PREFERRED[0]:

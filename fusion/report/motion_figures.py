@@ -362,14 +362,18 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
     panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{deviation:.2g}'):g}", align="right")
 
 
+def shown_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return an image (H, W) with its contrast stretched to 256 shades."""
+    low, high = np.percentile(image, (0.5, 99.5))
+    return np.asarray(255.0 * np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0), dtype=np.uint8)
+
+
 def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     """Draw one reference image, reduced to its size on the page."""
     height, width = image.shape
-    low, high = np.percentile(image, (0.5, 99.5))
-    grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
     scale = min(1.0, LARGEST_IMAGE_PX / max(height, width))
-    shown = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    panel.image((255.0 * shown).astype(np.uint8), (-0.5, width - 0.5), (-0.5, height - 0.5))
+    shown = cv2.resize(shown_grey(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    panel.image(shown.astype(np.uint8), (-0.5, width - 0.5), (-0.5, height - 0.5))
     panel.x.limits, panel.y.limits = (-0.5, width - 0.5), (height - 0.5, -0.5)
     panel.equal, panel.x.grid, panel.y.grid = True, False, False
 

@@ -38,8 +38,9 @@ from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
+from fusion.report.moving_image import moving_images
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
-from fusion.report.report_scene import evaluation_scene, scene_page
+from fusion.report.report_scene import body_displacements, evaluation_scene, scene_page
 from fusion.report.result_figures import (
     acceleration_figures,
     channel_figures,
@@ -209,6 +210,7 @@ def render_report(evaluation: Evaluation) -> str:
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
         "rig": scene_page(evaluation_scene(evaluation)),
+        "images": moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation)),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),

@@ -494,7 +494,7 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     frequency = next((result.phasors.frequency_hz for result in moved.values()), np.zeros(0))
     motions = list[SceneMotion]()
     elements = {body: result.polar for body, result in moved.items()}
-    displaced = {body: np.nan_to_num(displacement(result)) for body, result in moved.items()}
+    displaced = body_displacements(evaluation)
     for k, f in enumerate(frequency.tolist()):
         texts = [_amplitude_text(body, polar[k], f) for body, polar in elements.items()]
         texts += [text for surface in seen if (text := surface.text(k))]
@@ -509,6 +509,12 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
 def displacement(result: Acceleration) -> ComplexArray:
     """Return displacement phasors (K, 6) of the sensor origin, -A/ω², in m and rad."""
     return np.asarray(derivative_factor(result.phasors.frequency_hz, -2)[:, None] * result.phasors.value)
+
+
+def body_displacements(evaluation: Evaluation) -> dict[str, ComplexArray]:
+    """Return displacement phasors (K, 6) by body, 0 where not observed."""
+    found = {body: _result(evaluation.accelerations, body) for body in BODIES}
+    return {body: np.nan_to_num(displacement(result)) for body, result in found.items() if result is not None}
 
 
 def _result(accelerations: Sequence[Acceleration], body: str) -> Acceleration | None:

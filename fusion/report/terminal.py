@@ -12,7 +12,7 @@ import sys
 import textwrap
 import time
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
@@ -122,6 +122,81 @@ def print_text(text: str) -> None:
     print(wrapped(text, sys.stdout))
 
 
+# Tables with whole numbers on terminals of every width.
+
+LONGEST_WORD = 24
+"""Characters of a text column below which its words are broken."""
+MOST_PARTS = 2
+"""Parts into which a table is split at most."""
+FRAME = 3
+"""Characters of a column beside its cells: two spaces and a rule."""
+
+
+def print_table(title: str, head: Sequence[str], align: str, sections: Sequence[Sequence[Sequence[str]]]) -> None:
+    """Print sections of rows as a table with a rule between them.
+
+    `align`: `l` or `r` per column.
+    On a narrow terminal texts and heads are wrapped between words. If this does not suffice, the table is continued
+    below with its first column repeated, or its rows become sentences. Numbers are never broken.
+    """
+    from rich.table import Table
+
+    console = stdout_console()
+    columns = [[row[i] for rows in sections for row in rows] for i in range(len(head))]
+    spaces = [_column_space(*column) for column in zip(head, align, columns, strict=True)]
+    parts = _fitting_parts(spaces, console.width - 1)
+    if len(parts) > MOST_PARTS:
+        print_text("\n".join([*filter(None, [title]), *(_sentence(head, row) for rows in sections for row in rows)]))
+        return
+    for part in parts:
+        widths = _widths([spaces[i] for i in part], console.width - 1)
+        shown = Table(title=title if 1 in (*part, len(head)) else None, title_justify="left")
+        for i, width in zip(part, widths, strict=True):
+            shown.add_column(head[i], justify="left" if align[i] == "l" else "right", width=width, overflow="fold")
+        for rows in sections:
+            for row in rows:
+                shown.add_row(*(row[i] for i in part))
+            shown.add_section()
+        console.print(shown)
+
+
+def _sentence(head: Sequence[str], row: Sequence[str]) -> str:
+    """Return a row as a sentence."""
+    return "  " + "; ".join(f"{name}: {cell}" for name, cell in zip(head, row, strict=True) if cell)
+
+
+def _column_space(head: str, align: str, cells: Sequence[str]) -> tuple[int, int]:
+    """Return the least and the natural width of a column."""
+    from rich.cells import cell_len
+
+    whole = cells if align == "r" else [word for cell in cells for word in cell.split()]
+    least = max((cell_len(word) for word in (*head.split(), *whole)), default=1)
+    natural = max(cell_len(text) for text in (head, *cells))
+    return (least if align == "r" else min(least, LONGEST_WORD)), natural
+
+
+def _fitting_parts(spaces: Sequence[tuple[int, int]], width: int) -> list[list[int]]:
+    """Return the columns of parts that fit in a width, each with the first one."""
+    parts, used = [[0]], spaces[0][0] + FRAME
+    for i, (least, _) in enumerate(spaces[1:], 1):
+        if len(parts[-1]) > 1 and used + least + FRAME > width:
+            parts.append([0])
+            used = spaces[0][0] + FRAME
+        parts[-1].append(i)
+        used += least + FRAME
+    return parts
+
+
+def _widths(spaces: Sequence[tuple[int, int]], width: int) -> list[int]:
+    """Return the widths of columns: the least ones, larger if there is room."""
+    left, widths = width - sum(least + FRAME for least, _ in spaces), []
+    for least, natural in spaces:
+        more = min(max(0, left), natural - least)
+        widths.append(least + more)
+        left -= more
+    return widths
+
+
 # Notices.
 
 
@@ -134,24 +209,31 @@ def log_notices(notices: Iterable[tuple[Notice, str]]) -> None:
     shown = [(notice, remark) for notice, remark in given if notice.is_listed]
     verbose = log.isEnabledFor(logging.DEBUG)
     notes = sum(notice.severity != "warning" for notice, _ in shown)
-    codes: dict[str, None] = {}
+    by_code: dict[str, list[tuple[Notice, str]]] = {}
     for notice, remark in shown:
-        level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        if level == logging.WARNING or verbose or notes <= MOST_NOTES:
-            log.log(level, "%s", f"{_named(notice)}{remark}")
-            codes[notice.code] = None
+        if notice.severity == "warning" or verbose or notes <= MOST_NOTES:
+            by_code.setdefault(notice.code, []).append((notice, remark))
+    for code, group in by_code.items():
+        level = logging.WARNING if group[0][0].severity == "warning" else logging.INFO
+        for number, text in enumerate(_sentences(group)):
+            log.log(level, "%s %s", " " * len(code) if number else code, text)
     if notes > MOST_NOTES and not verbose:
         log.info("%d notes on the page, or here with -v", notes)
     if acknowledged := sum(bool(notice.acknowledged) for notice, _ in given):
         log.info("%s on the page", count_text(acknowledged, "acknowledged notice"))
-    if named := " ".join(filter(None, codes)):
+    if named := " ".join(filter(None, by_code)):
         log.info("effect and remedy: shakercal explain %s", named)
 
 
-def _named(notice: Notice) -> str:
-    """Return code, place and sentence of a notice."""
-    where = "" if not notice.where or notice.text.startswith(f"{notice.where}:") else f"{notice.where}: "
-    return f"{notice.code} {where}{notice.text}".strip()
+def _sentences(group: Sequence[tuple[Notice, str]]) -> Iterator[str]:
+    """Yield the sentences of notices of one code, each with all its places."""
+    places: dict[str, list[str]] = {}
+    for notice, remark in group:
+        where = "" if notice.text.startswith(f"{notice.where}:") else notice.where
+        places.setdefault(f"{notice.text.strip()}{remark}", []).append(where)
+    for text, found in places.items():
+        where = ", ".join(dict.fromkeys(filter(None, found)))
+        yield f"{where}: {text}" if where else text
 
 
 # A progress bar on a terminal only.

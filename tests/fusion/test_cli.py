@@ -24,7 +24,8 @@ from fusion.cli import _parser, commands, main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 from fusion.errors import INTERNAL_ERROR, OUTPUT_EXISTS, SYSTEM_REFUSED, ComputeError
 from fusion.recording.recording_notices import INVALID_VALUE
-from fusion.report.terminal import MOST_NOTES, log_notices, progress_bar, wrapped
+from fusion.report import terminal
+from fusion.report.terminal import MOST_NOTES, log_notices, print_table, progress_bar, wrapped
 from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 from shakercal._common.notices import DeclaredNotice, Notice
 
@@ -53,7 +54,7 @@ def test_help_and_version_import_no_heavy_module(arguments):
 
 @pytest.mark.parametrize(
     "line",
-    ["", "evaluate", "run", "run a b", "run a -q -v", "run a --subset-radius 3", "run a --subset-radius ten",
+    ["evaluate", "run", "run a b", "run a -q -v", "run a --subset-radius 3", "run a --subset-radius ten",
      "run a --device gpu", "simulate a --seed -1", "simulate a --preset nitsche"],
 )  # fmt: skip
 def test_wrong_usage_is_status_2(line, capsys):
@@ -62,6 +63,16 @@ def test_wrong_usage_is_status_2(line, capsys):
     output = capsys.readouterr()
     assert (left.value.code, output.out) == (EXIT_INPUT, "")
     assert output.err.startswith("usage: shakercal")
+
+
+def test_no_command_lists_them_and_a_mistyped_one_is_recognised(capsys):
+    assert main([]) == EXIT_INPUT
+    listed = capsys.readouterr().err
+    assert all(f"    {made.name}" in listed for made in commands())
+    for typed, near in (("runn", "; did you mean run?"), ("simulat", "; did you mean simulate?"), ("zzz", "")):
+        with pytest.raises(SystemExit):
+            main([typed])
+        assert capsys.readouterr().err.splitlines()[-1].endswith(f"expected a command, found {typed}{near}")
 
 
 @pytest.mark.parametrize("made", commands(), ids=lambda made: made.name)
@@ -148,10 +159,32 @@ def test_a_warning_is_whole_and_many_notes_are_counted_without_v(level, notes, c
         log_notices([(Notice(WARNING, "laser", text=long), " (2 recordings)"), *many])
     warning, *rest = caplog.messages
     assert warning == f"{WARNING.code} laser: {long.strip()} (2 recordings)"
-    shown = [message for message in rest if message.startswith(LIGHT.code)]
+    shown = [message for message in rest if " load: " in message]
     counted = level == logging.INFO and notes > MOST_NOTES
-    assert shown == ([] if counted else [f"{LIGHT.code} load: {number}" for number in range(notes)])
+    assert [message.strip() for message in shown] == (
+        [] if counted else [f"{LIGHT.code} load: 0", *(f"load: {number}" for number in range(1, notes))]
+    )
     assert any(message.startswith(f"{notes} ") for message in rest) is counted
+
+
+def test_one_sentence_of_several_places_is_printed_once(caplog):
+    with caplog.at_level(logging.INFO, "shakercal"):
+        log_notices([(Notice(WARNING, place, text="too late"), "") for place in ("top", "base", "top")])
+    assert caplog.messages[0] == f"{WARNING.code} top, base: too late"
+    assert len(caplog.messages) == 2
+
+
+@pytest.mark.parametrize("width", [200, 80, 60, 40])
+def test_a_table_breaks_and_shortens_no_number(width, capsys, monkeypatch):
+    monkeypatch.setattr(terminal, "PIPE_WIDTH", width)
+    head = ["line / Hz", *(f"u of channel {n} / nm" for n in range(6)), "what and why"]
+    rows = [[f"{n}.123456", *(f"{n}.{k}87654321" for k in range(6)), "a harmonic of the excitation"] for n in range(4)]
+    print_table("Lines", head, "r" * 7 + "l", [rows[:1], rows[1:]])
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= width or "│" not in shown, "rows are sentences, which a terminal wraps"
+    words = re.split(r"[\s│;]+", shown)
+    assert all(cell in words for row in rows for cell in row[:-1])
+    assert "Lines" in shown
 
 
 class Screen(io.StringIO):

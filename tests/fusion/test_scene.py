@@ -22,10 +22,13 @@ from take_factory import POINTS, Shot, write_takes
 
 from fusion.cli import main
 from fusion.phasors.deformation import DeflectionShape
+from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.rig import InstrumentHead, NamedHead
 from fusion.report.folder import render_page
 from fusion.report.motion_figures import MOST_POINTS
+from fusion.report.moving_image import moving_images
+from fusion.report.recording_report import render_report
 from fusion.report.report_scene import (
     Scene,
     SceneMotion,
@@ -424,4 +427,44 @@ def test_a_scene_of_axes_only_is_drawn(browser, tmp_path):
     nothing.rig = rig
     opened = Page(browser, written(tmp_path / "page.html", rig_scene(nothing)), **STILL)
     assert np.count_nonzero(pixels(opened)[..., 3]) > 500
+    opened.close()
+
+
+def test_pixels_of_the_image_move_as_the_body_does(demo_evaluation, manifest):
+    """The flow of the mesh against what the camera sees of tracked points that are turned and displaced."""
+    stated, (item, *_) = manifest.rig.stereo, [one for one in demo_evaluation.stereo if one.body == "load"]
+    motion = np.array([3e-5, -2e-5, 5e-5, 2e-4, -1e-4, 3e-4]) * np.exp(1j * np.arange(6))
+    (image,) = moving_images([item], stated, {"load": motion[None]})
+    data = json.loads(image.json)
+    nodes, flow = np.reshape(data["at"], (-1, 2)), np.reshape(data["flow"][0], (-1, 2, 2)) @ (1.0, 1j)
+    scale = image.width / item.reference_image.shape[1]
+    rest = item.deflection.reference_m[np.isfinite(item.deflection.reference_m).all(axis=1)]
+    camera, pose = read_rig(stated["top"], ()).camera_poses[0][0], sensor_from_camera(stated["top"])
+    seen_at = [
+        scale * camera.project(pose.inverse().apply(Rotation.from_rotvec(x[3:]).apply(rest) + x[:3]))
+        for x in (np.zeros(6), motion.real, motion.imag)
+    ]
+    moved = (seen_at[1] - seen_at[0]) + 1j * (seen_at[2] - seen_at[0])
+    nearest = np.argmin(np.linalg.norm(nodes[:, None] - seen_at[0], axis=2), axis=1)
+    near = np.linalg.norm(nodes - seen_at[0][nearest], axis=1) < 4.0
+    assert near.sum() > 30
+    largest = np.abs(moved).max()
+    assert np.abs(flow[near] - moved[nearest[near]]).max() < 0.03 * largest
+    assert np.all(np.abs(flow[[0, 24, -25, -1]]) < 0.5 * largest), "the corners lie beside the tracked points"
+    assert data["size"][0] * np.abs(flow).max() == pytest.approx(0.025 * image.width, rel=0.05)
+
+
+def test_the_image_moves_with_the_scene(demo_evaluation, browser, tmp_path):
+    page = tmp_path / "report.html"
+    page.write_text(render_report(demo_evaluation), encoding="utf-8")
+    opened = Page(browser, page, **STILL)
+    canvas, shots = opened.page.locator("figure.moving canvas").first, {}
+    for degrees in (0, 90, 180, 0):
+        opened.page.locator("[data-part=phase]").fill(str(degrees))
+        opened.page.wait_for_timeout(100)
+        shot = canvas.evaluate("one => one.toDataURL()")
+        assert shots.setdefault(degrees, shot) == shot
+    assert len(set(shots.values())) == 3
+    opened.page.emulate_media(media="print")
+    assert opened.page.locator("figure.moving img").first.is_visible()
     opened.close()

@@ -24,7 +24,7 @@ from fusion.planning.planning_notices import VALIDATION_OUTPUT
 from fusion.report.atomic_files import write_files, write_together
 from fusion.report.folder import render_page
 from fusion.report.table import TableColumn, page_column, table
-from fusion.report.terminal import print_text, stdout_console
+from fusion.report.terminal import print_table, print_text
 from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -412,15 +412,10 @@ QUANTITIES: list[TableColumn[QuantityComparison]] = [
 
 def print_validation(found: Validation) -> None:
     """Print the table and the installation."""
-    from rich.table import Table
-
-    shown = Table(title=f"Validation of {PROGRAM} {__version__}: {'passed' if found.passed else 'FAILED'}")
-    for column in COLUMNS:
-        shown.add_column(str(column.head), justify="left" if column.align == "l" else "right", overflow="fold")
-    for case in found.cases:
-        shown.add_row(*(column.cell(case) for column in COLUMNS))
+    title = f"Validation of {PROGRAM} {__version__}: {'passed' if found.passed else 'FAILED'}"
+    rows = [[column.cell(case) for column in COLUMNS] for case in found.cases]
+    print_table(title, [str(column.head) for column in COLUMNS], "".join(column.align for column in COLUMNS), [rows])
     installation = found.installation
-    stdout_console().print(shown)
     for case in found.cases:
         for quantity in (quantity for quantity in case.quantities if not quantity.passed):
             off = f"found {quantity.found:.12g}, reference {quantity.expected:.12g} ± {quantity.tolerance:.2g}"

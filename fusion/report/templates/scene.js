@@ -226,6 +226,7 @@
       part("size-told").textContent = `× ${short(factor())}`;
       const play = part("play"), word = state.playing ? "Pause" : "Play";
       if (play.textContent !== word) play.textContent = word;
+      document.dispatchEvent(new CustomEvent("scene-moved", { detail: { line: state.line, phase: state.phase, stretch: state.stretch } }));
     }
     function choose() {
       const motion = data.motions[state.line];
