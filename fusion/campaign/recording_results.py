@@ -182,7 +182,7 @@ def _grids(file: h5py.File) -> tuple[EdgeGrid, ...]:
 
     None if one block has no position.
     """
-    clocks = [clock for clock in file.get("clocks", {}).values() if "trigger" in clock]
+    clocks = [clock for clock in [*file.get("clocks", {}).values()] if "trigger" in clock]
     found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
     if len(found) < len(clocks):
         return ()

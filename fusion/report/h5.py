@@ -1,6 +1,7 @@
 """Data classes and uncertainties in HDF5 files; groups and names are those of the classes.
 
-Results are collected in memory as `Group` and `Data`, described as a whole, and then written.
+Results are collected in memory as `Group` and `Data`, described as a whole, and then written. `items()` and `values()`
+of h5py hold its lock while they are iterated: a loop that an error leaves would block other threads. Take a list first.
 """
 
 from __future__ import annotations
@@ -218,7 +219,7 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
 def read_uncertainty(group: h5py.Group) -> Uncertainty:
     """Return the `Uncertainty` that `write_uncertainty` wrote into a group."""
     random = []
-    for part in group["random"].values():
+    for part in [*group["random"].values()]:
         dof = read_numbers(part["dof"]) if "dof" in part else None
         kind = _choice("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, read_numbers(part["covariance"]), dof))

@@ -105,7 +105,7 @@ def _results(file: h5py.File, path: Path) -> Results:
         path=path,
         sensitivity=_sensitivity(file["sensitivity"]) if "sensitivity" in file else None,
         element=_sensitivity(file["element"]) if "element" in file else None,
-        acceleration={name: _motion(name, group) for name, group in file.get("accelerations", {}).items()},
+        acceleration={name: _motion(name, group) for name, group in [*file.get("accelerations", {}).items()]},
         load=_load(file["load"]) if "load" in file else None,
         curve=tuple(_curve(group) for group in _groups(curves)),
         matrix=tuple(_matrix(group) for group in _groups(matrices)),
@@ -114,7 +114,7 @@ def _results(file: h5py.File, path: Path) -> Results:
 
 def _groups(parent: Any) -> Iterator[h5py.Group]:
     """Return the groups of a list in order."""
-    return (group for group in parent.values() if isinstance(group, h5py.Group)) if len(parent) else iter(())
+    return (group for group in [*parent.values()] if isinstance(group, h5py.Group)) if len(parent) else iter(())
 
 
 def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:

@@ -352,7 +352,7 @@ def read_results_origin(folder: Path, command: str) -> tuple[Provenance, tuple[N
 def _scopes(file: h5py.File) -> Iterator[str]:
     """Yield the coverage of U of every component."""
     named: dict[tuple[str, str], list[str]] = {}
-    for name, group in file.items():
+    for name, group in [*file.items()]:
         if group.attrs.get("scope"):
             named.setdefault((group.attrs["scope"], group.attrs.get("outside", "")), []).append(name)
     for (scope, outside), names in named.items():
