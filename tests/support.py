@@ -115,7 +115,8 @@ def _requirement(model: type[BaseModel], key: str) -> str:
         return "optional"
     if isinstance(default, str | bool | int | float):
         return f"`{json.dumps(default)}`" if isinstance(default, str | bool) else f"{default:g}"
-    assert not np.any(default)
+    if np.any(default):
+        return f"`{json.dumps(default)}`"
     zeros = "0" if "uncertainty" in key and key not in ("pose_uncertainty", "datum_uncertainty") else "zeros"
     return zeros if len(default) else "none"
 

@@ -27,7 +27,7 @@ from fusion.report.recording_report import MERGED_FILES, merged_table, write_res
 from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_CONTENT, OTHER_FORMAT, OUTPUT_IS_FILE
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensor.identify import joint_fit
+from fusion.sensor.identify import sine_curves
 from fusion.sensor.identify.identification_inputs import EvaluatedSines
 
 FORMAT = "recording-format.md"
@@ -248,7 +248,7 @@ def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, foun
     damaged = rf"^{DAMAGED_RESULTS.code} .*result\.h5: .*notices/more.*{found}"
     refused(damaged, read_recorded, folder, error=InputError)
     sines = EvaluatedSines(make_evaluation(tmp_path, Choice(images=False)).manifest, folder)
-    refused(damaged, joint_fit._transfer, sines, "Fz", "", None, error=InputError)
+    refused(damaged, sine_curves._transfer, sines, "Fz", "", None, error=InputError)
     assert read_provenance(folder) is None
     refused(OTHER_CONTENT.code, check_folder, folder, {}, force=False, error=InputError)
 

@@ -254,7 +254,8 @@ def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:
             node = file[table]
             if len(node.shape) != 2:
                 continue
-            data_sets = [other[()] for other in [*node.parent.values()] if other is not None and _is_list_of_texts(other)]
+            others = [other for other in [*node.parent.values()] if other is not None]
+            data_sets = [other[()] for other in others if _is_list_of_texts(other)]
             around = [node, node.parent, file]
             attributes = [
                 value for node_around in around for key, value in node_around.attrs.items() if LABELS.search(key)
