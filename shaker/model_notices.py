@@ -239,6 +239,14 @@ LAG_NOT_ATTRIBUTED = DeclaredNotice(
     remedy="State the response of the output's channel, measure the force, or add releases by a much faster device.",
     link="steps.md",
 )
+STATED_LAG_CONTRADICTED = DeclaredNotice(
+    "SC-862",
+    "warning",
+    "The record contradicts a lag of {stated_us:.3g} µs, which the stated response of the output's channel has.",
+    effect="The stated lag is not used. The sensor may have a further lag, or the release another shape.",
+    remedy="Check that `response` describes the whole chain of the channel.",
+    link="steps.md",
+)
 AMPLITUDE_DEPENDENT = DeclaredNotice(
     "SC-861",
     "warning",

@@ -185,7 +185,9 @@ CHAIN_IN_MODEL = DeclaredNotice(
     "SC-666",
     "warning",
     "The stated response of {channels} is not corrected.",
-    effect="The model describes sensor and measuring chain together.",
+    effect="The model describes sensor and measuring chain together. `step` takes its lag as that of the whole chain: a"
+    " further lag of an amplifier that is not stated is attributed to the release and is not in U.",
+    remedy="State the response of the whole chain of the channel.",
     link="steps.md",
 )
 FILTER_IN_MODEL = DeclaredNotice(

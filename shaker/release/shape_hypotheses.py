@@ -28,10 +28,12 @@ _ENOUGH = 0.03  # predicted fall of χ² by a step at which a fit from known pol
 _DISTURBED = 4.0  # significant excess of the residual about the release, in standard deviations
 
 
-def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple[OutputErrorFit, ...]:
+def with_further_shapes(
+    found: Sequence[OutputErrorFit], by_rule: bool, staged: bool = False
+) -> tuple[OutputErrorFit, ...]:
     """Return fits with those of an exponential release and of two stages.
 
-    Two stages are fitted if the record calls for them. `found`: the likeliest first. `by_rule`: whether the number of
+    Two stages are fitted if the record calls for them, or `staged`. `found`: the likeliest first. `by_rule`: whether the number of
     real poles is free; an exponential release may then replace a second one.
     """
     likeliest, fits = found[0], [*found]
@@ -42,14 +44,14 @@ def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple
             break
     best = min(fits, key=penalised_chi_squared)
     count = min(1, reals) if by_rule else reals
-    if _calls_for_stages(best):
+    if staged or _calls_for_stages(best):
         fits.append(_fit_from(best, "stages", _staged_starts(best, count), count))
     return tuple(sorted(fits, key=shape_chi_squared))
 
 
 def shape_chi_squared(fit: OutputErrorFit) -> float:
-    """Return the penalised χ², with 8 for each further unknown of two stages."""
-    return penalised_chi_squared(fit) + 2.0 * TERM * (fit.problem.load.shape == "stages")
+    """Return the penalised χ², with 4 for each further unknown of two stages."""
+    return penalised_chi_squared(fit) + TERM * (fit.problem.load.shape == "stages")
 
 
 def about_release(fit: OutputErrorFit) -> BoolArray:

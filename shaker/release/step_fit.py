@@ -13,6 +13,7 @@ from shaker.lti.system import LinearSystem, ModalModel
 from shaker.model_notices import (
     LAG_NOT_ATTRIBUTED,
     RELEASE_SHAPE_UNDETERMINED,
+    STATED_LAG_CONTRADICTED,
 )
 from shaker.release.amplitude_dependence import amplitude_dependence, distinct_modes
 from shaker.release.load_response import ReleaseLoad, every_sample
@@ -225,16 +226,22 @@ def fit_shapes(
     real_poles: int | None = None,
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
+    staged: bool = False,
 ) -> tuple[StepFit, ...]:
-    """Return the result of `fit_step` for each possible shape, the likeliest first."""
+    """Return the result of `fit_step` for each possible shape, the likeliest first.
+
+    `staged`: whether two stages are fitted in any case.
+    """
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     loads = candidate_loads(record, reading, release)
     search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))
-    found = _without_drift(search)
-    if loads[0].lasting and release in (None, "exponential"):
-        found = with_further_shapes(found, real_poles is None)
-        found = tuple(one for one in found if release in (None, one.problem.load.shape))
+    found, notices = _found_shapes(search, release, staged), list[Notice]()
+    if search.chain is not None:
+        free = _found_shapes(replace(search, chain=None), release, staged)
+        if shape_chi_squared(free[0]) < shape_chi_squared(found[0]) - REJECT_CHI2:
+            stated_us, where = 1e6 * np.exp(-search.chain[0]), f"{record.name}, {channel}"
+            found, notices = free, [Notice(STATED_LAG_CONTRADICTED, where, stated_us=stated_us)]
     least = shape_chi_squared(found[0])
     fits = list[StepFit]()
     for one in found:
@@ -243,7 +250,16 @@ def fit_shapes(
             fits += _attributed(
                 replace(as_step_fit(record, reading, one, method, began), excess=excess), record, reading
             )
-    return order_hypotheses(fits)
+    return tuple(replace(fit, notices=(*fit.notices, *notices)) for fit in order_hypotheses(fits))
+
+
+def _found_shapes(search: OrderSearch, release: ReleaseOption | None, staged: bool) -> tuple[OutputErrorFit, ...]:
+    """Return the supported fits of every shape, the likeliest first."""
+    found = _without_drift(search)
+    if search.loads[0].lasting and release in (None, "exponential"):
+        found = with_further_shapes(found, search.reals is None, staged)
+        found = tuple(one for one in found if release in (None, one.problem.load.shape))
+    return found
 
 
 def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:

@@ -98,7 +98,12 @@ def test_a_campaign_names_the_recording_without_a_result_and_gives_the_others(tm
 
 @pytest.mark.parametrize(
     ("mountings", "codes"),
-    [("1", {REPEATABILITY_NOT_ASSESSED.code}), ("11", {ONE_MOUNTING, TWO_REPEATS}), ("12", {TWO_REPEATS}), ("123", set())],
+    [
+        ("1", {REPEATABILITY_NOT_ASSESSED.code}),
+        ("11", {ONE_MOUNTING, TWO_REPEATS}),
+        ("12", {TWO_REPEATS}),
+        ("123", set()),
+    ],
 )
 def test_notices_on_recordings_and_mountings(tmp_path, capsys, mountings, codes):
     write_rig(tmp_path)

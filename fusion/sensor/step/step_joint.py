@@ -325,7 +325,7 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
     fits, of_fits = zip(*(fit_release(release, settings) for release in releases), strict=True)
     sound, refitted, notices = _sound(fits, settings)
     notices = [*chain.from_iterable(of_fits), *notices]
-    fitted = fit_common_shape(sound)
+    fitted = fit_common_shape(_in_stages(sound, settings))
     chosen, reason = choose_releases(fitted)
     if not chosen:
         return FittedReleases(_latest(fits, fitted), (), reason, tuple(notices))
@@ -336,6 +336,21 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         common, refitted = averaged_model(chosen, component), [*refitted, *refit]
         notices += [*of_structure, Notice(declared.RELEASES_AVERAGED, component, count=len(chosen))]
     return FittedReleases(_latest(fits, fitted, chosen), chosen, reason, tuple(notices), tuple(refitted), common)
+
+
+def _in_stages(releases: Sequence[StepRelease], settings: StepSettings) -> list[StepRelease]:
+    """Return releases, fitted in two stages if another one by their device may be."""
+    devices = {
+        release.record.release
+        for release in releases
+        if any(fit.shape == "stages" and fit.excess < REJECT_CHI2 for fit in release.shapes)
+    }
+    return [
+        fit_release(release, settings, staged=True)[0]
+        if release.record.release in devices and all(fit.shape != "stages" for fit in release.shapes)
+        else release
+        for release in releases
+    ]
 
 
 def _latest(*series: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
