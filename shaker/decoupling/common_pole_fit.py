@@ -23,6 +23,7 @@ from shaker.decoupling.common_pole_search import (
     select_pole_count,
     try_other_durations,
     try_other_shapes,
+    without_superfluous,
 )
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
@@ -135,7 +136,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     near, devices = replace(problem, records=tuple(cut)), _devices(records)
     fit, trials = select_pole_count(near, (start, tuple(releases)), most_modes, most_reals)
     fit, shapes = try_other_shapes(near, fit, devices)
-    fit, durations = try_other_durations(near, fit)
+    fit, durations = try_other_durations(near, without_superfluous(near, fit, most_modes))
     fit, others = fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR), [*durations, *shapes]
     refined_noise = noise * misfits(problem, fit)
     weighted = [
@@ -143,7 +144,8 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         for one in problem.records
     ]
     problem = replace(problem, records=tuple(weighted))
-    fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
+    fit = without_superfluous(problem, fit_poles(problem, fit.poles, fit.releases), most_modes)
+    fit, likely = equally_likely(problem, fit, others)
     return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
 
 

@@ -114,6 +114,13 @@ def select_pole_count(
     return fit, trials
 
 
+def without_superfluous(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit:
+    """Return the fit without modes that its releases no longer need."""
+    while (fewer := _smaller(problem, fit, most)) is not None:
+        fit = fewer
+    return fit
+
+
 def try_other_shapes(
     problem: StepProblem, fit: PoleFit, devices: Sequence[Sequence[int]]
 ) -> tuple[PoleFit, list[AlternativeTimes]]:

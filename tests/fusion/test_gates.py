@@ -28,8 +28,8 @@ from fusion.simulate import simulate
 
 MANIFESTS = (Rig, RecordingFile, AlignmentFile, ElementFile, MeasuringChainFile)
 PATH_KEYS = {
-    "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Daq.repeats", "Images.left", "Images.right", "Images.displaced_left",
-    "Images.displaced_right", "PointFiles.files",
+    "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Daq.repeats", "Images.left", "Images.right",
+    "Images.displaced_left",    "Images.displaced_right", "PointFiles.files",
     "ExcitationEntry.file", "AlignmentFile.calibration", "OtherPair.calibration", "FaceBlock.pixels",
     "TargetViewBlock.left", "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left",
     "CommonView.other_right", "MotionBlock.recordings", "AxisBlock.recordings", "ElementFile.measured",

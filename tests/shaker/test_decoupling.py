@@ -21,6 +21,7 @@ from shaker.decoupling.filter import (
 from shaker.decoupling.model import MultiModel, check_separable, missing_loads, sampled_modes, sort_components
 from shaker.decoupling.response_fit import ResponseFit, Responses, fit_responses
 from shaker.model_notices import (
+    DOUBTFUL_MODE,
     DURATION_AMBIGUOUS,
     DURATION_UNLIKELY,
     MODEL_MISFIT,
@@ -475,9 +476,10 @@ def test_intervals_cover_the_truth_as_often_as_stated(lag_hz):
     )
 
     def estimate(seed: int) -> tuple[FloatArray, FloatArray]:
-        model = fit_steps(sensor.releases(seed)).model
-        order, u = np.argsort(model.frequency_hz), model.u
-        assert len(order) == 2
+        found = fit_steps(sensor.releases(seed))
+        model = found.model
+        order, u = np.argsort(model.frequency_hz)[:2], model.u
+        assert len(model.frequency_hz) == 2 or DOUBTFUL_MODE.code in {notice.code for notice in found.notices}
         values = [model.frequency_hz[order], model.damping_ratio[order]]
         spreads = [u.frequency_hz[order], u.damping_ratio[order]]
         for d in range(2):

@@ -249,8 +249,8 @@ def fit_release(
 ) -> tuple[StepRelease, tuple[Notice, ...]]:
     """Return a release with its model.
 
-    `structure` (modes, real poles) is selected by rule if None. `staged`: whether two stages are fitted in any case. If no model is found, the release has none and a notice
-    gives the reason.
+    `structure` (modes, real poles) is selected by rule if None. `staged`: whether two stages are fitted in any case. If
+    no model is found, the release has none and a notice gives the reason.
     """
     counts = structure or (settings.modes, settings.real_poles)
     method: Literal["arx", "pencil"] = "arx" if settings.method == "arx" else "pencil"
