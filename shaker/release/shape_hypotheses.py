@@ -33,8 +33,8 @@ def with_further_shapes(
 ) -> tuple[OutputErrorFit, ...]:
     """Return fits with those of an exponential release and of two stages.
 
-    Two stages are fitted if the record calls for them, or `staged`. `found`: the likeliest first. `by_rule`: whether the
-    number of real poles is free; an exponential release may then replace a second one.
+    Two stages are fitted if the record calls for them, or `staged`. `found`: the likeliest first. `by_rule`: whether
+    the number of real poles is free; an exponential release may then replace a second one.
     """
     likeliest, fits = found[0], [*found]
     reals = likeliest.problem.structure.reals

@@ -225,14 +225,13 @@ def fit_shapes(
     modes: int | None = None,
     real_poles: int | None = None,
     method: Literal["pencil", "arx"] = "pencil",
-    release: ReleaseOption | None = None,
-    staged: bool = False,
+    release: ReleaseOption | Literal["staged"] | None = None,
 ) -> tuple[StepFit, ...]:
     """Return the result of `fit_step` for each possible shape, the likeliest first.
 
-    `staged`: whether two stages are fitted in any case.
+    `release` "staged": as by default, with two stages in any case.
     """
-    began = time.perf_counter()
+    began, staged, release = time.perf_counter(), release == "staged", None if release == "staged" else release
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     loads = candidate_loads(record, reading, release)
     search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))

@@ -254,9 +254,9 @@ def fit_release(
     """
     counts = structure or (settings.modes, settings.real_poles)
     method: Literal["arx", "pencil"] = "arx" if settings.method == "arx" else "pencil"
-    shape = None if settings.release == "auto" else settings.release
+    shape = "staged" if staged else None if settings.release == "auto" else settings.release
     try:
-        shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape, staged)
+        shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape)
     except FAILURES as error:
         notice = Notice(declared.RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
         return release, (notice,)
