@@ -47,7 +47,7 @@ class ReleasesFit(Arrays):
     moves : (R, P), change of its parameters by the noise of each release, times R.
     covariances : (R, P, P), of `moves`, by the noise that the release's own fit leaves.
     square : χ² of all residuals, over the noise that the releases' own fits leave.
-    cost : `square` plus 8 per numerator term and release in two stages, and 12 per pole.
+    cost : `square` plus 8 per numerator term, 12 per pole, and 8 per mode for each release in two stages.
     consistent : whether `square` is above that of the releases' own fits by no more than chance.
     """
 
@@ -96,7 +96,7 @@ class _Releases:
     def charge(self) -> float:
         """What the numbers of terms, poles, and unknowns of releases in stages count, in χ²."""
         staged = sum(fit.problem.load.shape == "stages" for fit in self.fits)
-        return TERM * (self.structure.terms + staged) + CLEAR * self.structure.order
+        return TERM * (self.structure.terms + staged * self.structure.modes) + CLEAR * self.structure.order
 
     @property
     def shared(self) -> int:

@@ -50,8 +50,9 @@ def with_further_shapes(
 
 
 def shape_chi_squared(fit: OutputErrorFit) -> float:
-    """Return the penalised χ², with 4 for each further unknown of two stages."""
-    return penalised_chi_squared(fit) + TERM * (fit.problem.load.shape == "stages")
+    """Return the penalised χ²; two stages count 8 for each mode that they may act like."""
+    staged = fit.problem.load.shape == "stages"
+    return penalised_chi_squared(fit) + TERM * staged * fit.problem.structure.modes
 
 
 def about_release(fit: OutputErrorFit) -> BoolArray:
