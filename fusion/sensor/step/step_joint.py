@@ -295,7 +295,7 @@ def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonMod
 
         first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
         alternatives += _with_notices(first.shapes, component, device, mean)
-    return CommonModel(found, tuple(alternatives))
+    return CommonModel(found, (*alternatives, *_amplitudes(releases, found.mean_model)))
 
 
 # Fits of the releases of a component, and the model of all of them.
