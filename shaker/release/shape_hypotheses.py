@@ -50,7 +50,7 @@ def with_further_shapes(
 
 
 def shape_chi_squared(fit: OutputErrorFit) -> float:
-    """Return the penalised χ²; two stages count 8 for each mode that they may act like."""
+    """Return the penalised χ²; two stages count 8 for each mode."""
     staged = fit.problem.load.shape == "stages"
     return penalised_chi_squared(fit) + TERM * staged * fit.problem.structure.modes
 

@@ -339,7 +339,7 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
 
 
 def _in_stages(releases: Sequence[StepRelease], settings: StepSettings) -> list[StepRelease]:
-    """Return releases, fitted in two stages if another one by their device may be."""
+    """Return releases, in two stages as well if another by their device may be."""
     devices = {
         release.record.release
         for release in releases
