@@ -233,13 +233,6 @@ def _wide_fit(curve: _Curve, lines: slice, value: ComplexArray) -> tuple[Resonan
     return None, False
 
 
-def _late_notice(late_s: float, frequency_hz: float, where: str, channel: str) -> Notice:
-    """Return the notice of a delay that is not stated."""
-    effect = "It turns the lines of the curve beyond their U."
-    values = {"lag_us": 1e6 * late_s, "change_percent": 0.0, "frequency_hz": frequency_hz}
-    return Notice(declared.UNSTATED_FILTER_FOUND, where, channel=channel, **values, consequence=effect)
-
-
 def _late(curve: _Curve, wide: Resonance | None) -> float | None:
     """Return the delay of a response in s if it is longer than stated.
 

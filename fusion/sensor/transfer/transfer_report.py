@@ -56,7 +56,6 @@ from shaker.frf.result import TransferFunction
 from shaker.labels import typeset
 from shakercal._common.arrays import FloatArray
 
-RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
 REJECTED = "model refuted by the data"
 
