@@ -1,8 +1,8 @@
 """Pages of all presets with thumbnails, for the site: `make gallery`.
 
 Every preset is simulated and evaluated. The pages go to build/gallery/pages, from where `make docs` takes them into the
-site, their first screens as thumbnails to docs/images/gallery, and the list to docs/gallery.md. The first screen of the demo
-recording is the picture of the README: docs/images/first-screen.png, and first-screen.webp in motion.
+site, their first screens as thumbnails to docs/images/gallery, and the list to docs/gallery.md. The first screen of the
+demo recording is the picture of the README: docs/images/first-screen.png, and first-screen.webp in motion.
 """
 
 from __future__ import annotations
@@ -69,9 +69,7 @@ GALLERY = {
         "Calibration of a stereo pair from images of a target",
     ),
     "chirp": _made("chirp", "transfer * -o out/*", "transfer.html", "Transfer functions and a resonance from a chirp"),
-    "masses": _made(
-        "masses", "identify * -o out/*", "identify.html", "Stiffness, damping and internal mass of a sensor"
-    ),
+    "masses": _made("masses", "identify * -o out/*", "identify.html", "Stiffness, damping, internal mass of a sensor"),
     "pitching": _made("pitching", "identify * -o out/*", "identify.html", "A horizontal set-up whose load pitches"),
     "rotation": _made("rotation", "rotate * -o out/*", "rotate.html", "Masses from rotation about a horizontal axis"),
     "orientations": _made("orientations", "rotate * -o out/*", "rotate.html", "Masses from the poses of a robot"),
