@@ -162,7 +162,7 @@ def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> 
 
 
 def _has_usual_columns(file: Path) -> bool:
-    """Whether the first line of a text file names the columns of a table of this program."""
+    """Whether the first line of a text file names the usual columns."""
     try:
         with file.open("rb") as opened:
             first = opened.readline(10_000)

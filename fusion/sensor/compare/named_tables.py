@@ -79,7 +79,10 @@ class NamedTable:
 
 
 def read_tables(path: Path, names: Mapping[str, Path]) -> ComparedTables:
-    """Read a file of `--columns`; `InputError` for errors, or for a result that is not compared."""
+    """Read a file of `--columns`.
+
+    Raises `InputError` for errors, or for a result that is not compared.
+    """
     found = validate(ComparedTables, read_toml(path), path)
     for name in found.columns_of:
         if name not in names:
