@@ -28,7 +28,7 @@ FEWEST_POINTS = 6
 
 
 class ComparedColumns(ResponseColumns):
-    """Names and units of the columns of a table in a comparison, and the element that it describes."""
+    """Columns of a table in a comparison, and the element that it describes."""
 
     KEY: ClassVar[str] = "columns"
 
