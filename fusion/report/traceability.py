@@ -31,7 +31,9 @@ RECORDED = "noise, clocks and fits of the recordings (type A)"
 
 @dataclass(frozen=True)
 class TracedInput:
-    """An input of a result, with its largest shares (0 to 1) of the variances over the lines.
+    """An input of a result, with its largest shares of the variances.
+
+    Shares are from 0 to 1, of all lines.
 
     Attributes
     ----------
@@ -61,7 +63,7 @@ class TracedInput:
 
     @property
     def gain(self) -> float:
-        """Return by which share U of the magnitude falls if u of this input is halved."""
+        """Return the share by which U falls if u of this input is halved."""
         return float(1.0 - np.sqrt(1.0 - HALVED * self.of_magnitude))
 
 
@@ -143,7 +145,7 @@ def traceability_table(inputs: Sequence[TracedInput], result: str) -> Table | No
 
 @dataclass(frozen=True)
 class _InputRow:
-    """One uncertain input of one value: its effects on real and imaginary part for one standard uncertainty."""
+    """One uncertain input of one value, with its effects for one standard uncertainty."""
 
     result: LabelledPhasors
     line: int
@@ -189,9 +191,9 @@ INPUTS: list[TableColumn[_InputRow]] = [
 
 
 def export_inputs(path: Path, output: Path, *, force: bool = False) -> int:
-    """Write all uncertain inputs of the main elements of results as a table; return the number of rows.
+    """Write all uncertain inputs of the main elements of results as a table.
 
-    Raises `InputError` for results without a sensitivity.
+    Returns the number of rows. Raises `InputError` for results without a sensitivity.
     """
     check_new_file(output, force=force)
     results = read_results(path)
