@@ -22,8 +22,8 @@ from fusion.sensitivity.input_evidence import InputEvidence
 from shaker.sine.phasor import real_stacked_diagonal
 from shakercal._common.arrays import ComplexArray, FloatArray
 
-SMALLEST_SHARE = 1e-3
-"""Smallest share of a variance that has a row: less changes U by 0.05 %."""
+SMALLEST_SHARE = 0.01
+"""Smallest share of a variance that has a row: less changes U by 0.5 %."""
 HALVED = 0.75
 """What halving an uncertainty takes from its variance."""
 RECORDED = "noise, clocks and fits of the recordings (type A)"
