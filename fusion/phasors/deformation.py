@@ -14,7 +14,8 @@ import numpy as np
 from fusion.estimation.uncertainty import real_stack
 from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.stereo_motion import PhaseRotated
-from photogram.direct.surface import PLAIN, ShapeAmplitudes
+from photogram.direct.surface import PLAIN, ShapeAmplitudes, Shapes
+from photogram.geometry import displacement_jacobian
 from photogram.motion import Deformation
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
 from shaker.sine.normal_equations import SineSums
@@ -78,7 +79,8 @@ class ShapePhasors(Arrays):
     Corrected for the exposure. `phasors`: with the covariance of their noise. `effects` (P, K, S): changes per standard
     uncertainty of unknowns of all frames (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that
     an amplitude of 1 m adds to that of the pair. `chance` (K,): of an F at least as large on a rigid body. `modes`:
-    number of independent shapes that are significant at the lines together.
+    number of independent shapes that are significant at the lines together. `form` (S, N, 3): displacement of the points
+    in addition to the rigid motion of the pair, for an amplitude of 1 m; None if no line deforms.
     """
 
     phasors: Phasors
@@ -87,6 +89,7 @@ class ShapePhasors(Arrays):
     f: FloatArray
     chance: FloatArray
     modes: int
+    form: FloatArray | None = None
 
     @property
     def covariance(self) -> FloatArray:
@@ -103,6 +106,12 @@ class ShapePhasors(Arrays):
     def deforms(self) -> BoolArray:
         """Lines (K,) at which a deformation is significant, at 1 % over all of them."""
         return np.asarray(self.chance < LEVEL / len(self.chance))
+
+    def at_points(self, shapes: Shapes, points_m: FloatArray) -> ShapePhasors:
+        """Add the `form` of the shapes at points (N, 3) if the body deforms at any line."""
+        if not self.deforms.any():
+            return self
+        return replace(self, form=shapes(points_m) - np.einsum("ncm,ms->snc", displacement_jacobian(points_m), self.share))
 
     def notices(self) -> list[Notice]:
         """Return a warning for each line at which the body deforms beyond stated modes."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
 from fusion.phasors.stereo_phasors import StereoResult
@@ -62,11 +63,8 @@ def _moving_image(item: StereoResult, stated: Stereo, moved: ComplexArray) -> Mo
     `moved` (K, 6): phasors of the body.
     """
     camera, pose = read_rig(stated, ()).camera_poses[0][0], sensor_from_camera(stated)
-    grey = shown_grey(np.asarray(item.reference_image))
-    height, width = grey.shape
-    scale = min(1.0, WIDEST_PX / width)
-    size = round(width * scale), round(height * scale)
-    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    height, width = np.asarray(item.reference_image).shape
+    small, scale = reduced_image(np.asarray(item.reference_image))
     nodes = _nodes(width, height)
     share = _share(nodes, np.asarray(item.subsets_px, dtype=np.float64))
     flow = share[None, :, None] * _image_phasors(item, camera, pose, moved, nodes)
@@ -79,9 +77,26 @@ def _moving_image(item: StereoResult, stated: Stereo, moved: ComplexArray) -> Mo
         ],
         "size": [float(f"{SHOWN_SHARE * width / most:.2g}") if most > 0.0 else 0.0 for most in largest],
     }
-    coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    source = f"data:image/jpeg;base64,{base64.b64encode(coded).decode('ascii')}"
-    return MovingImage(item.name, item.body, *size, source, htmlsafe_json_dumps(data, separators=(",", ":")))
+    size = small.shape[1], small.shape[0]
+    return MovingImage(
+        item.name, item.body, *size, jpeg_source(small), htmlsafe_json_dumps(data, separators=(",", ":"))
+    )
+
+
+def reduced_image(image: NDArray[Any]) -> tuple[NDArray[np.uint8], float]:
+    """Return an image with stretched contrast as a page shows it, and its pixels for one of the camera."""
+    grey = shown_grey(image)
+    height, width = grey.shape
+    scale = min(1.0, WIDEST_PX / width)
+    size = round(width * scale), round(height * scale)
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8), scale
+
+
+def jpeg_source(image: NDArray[np.uint8]) -> str:
+    """Return an image, grey (h, w) or coloured (h, w, 3), as the address of a page."""
+    shown = image if image.ndim == 2 else image[:, :, ::-1]
+    coded = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return f"data:image/jpeg;base64,{base64.b64encode(coded).decode('ascii')}"
 
 
 def _nodes(width: int, height: int) -> FloatArray:

@@ -20,6 +20,8 @@ from fusion.estimation.fuse import Acceleration
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report import tables, uncertainty_tables
 from fusion.report.atomic_files import write_file, write_files
+from fusion.report.field_data import FIRST_IMAGE, pair_fields
+from fusion.report.field_images import field_page
 from fusion.report.figure import Figure
 from fusion.report.folder import (
     CURVE_FILE,
@@ -38,7 +40,7 @@ from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
-from fusion.report.moving_image import moving_images
+from fusion.report.moving_image import moving_images, reduced_image
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import body_displacements, evaluation_scene, scene_page
 from fusion.report.result_figures import (
@@ -204,13 +206,15 @@ REPORT_FILE = "report.html"
 
 def render_report(evaluation: Evaluation) -> str:
     """Return the HTML text of the report; style and figures are included."""
+    images = moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation))
     context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
         "rig": scene_page(evaluation_scene(evaluation)),
-        "images": moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation)),
+        "images": images,
+        "field_page": field_page(pair_fields(evaluation), evaluation.stereo, [image.name for image in images]),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
@@ -346,11 +350,22 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
             for name in SENSOR:
                 write_value(sensor, name, getattr(manifest.rig.sensor, name))
         write_fields(file, evaluation)
+        _write_first_images(file, evaluation.stereo)
         for name in ("sensitivity/budget", "element/budget"):
             if name in file:
                 file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)
 
     write_file(path, h5_content(fill))
+
+
+def _write_first_images(file: Group, pairs: Sequence[StereoResult]) -> None:
+    """Write the first left image of each pair as a page shows it, for exports of fields."""
+    for pair in pairs:
+        group = file.get(f"stereo/{pair.name}")
+        if group is not None and pair.reference_image is not None:
+            image, scale = reduced_image(np.asarray(pair.reference_image))
+            group[FIRST_IMAGE] = image
+            group[FIRST_IMAGE].attrs["pixels_per_px"] = scale
 
 
 # Every tracked point of a stereo pair in every frame, as tables and VTK files.
