@@ -16,7 +16,7 @@ const fieldCanvas = (() => {
 
   function make(canvas, image, field) {
     const [width, height] = field.size, points = field.points, triangles = field.triangles, pen = canvas.getContext("2d");
-    const count = points.length / 2, pixels = [], corner = [], weight = [];
+    const count = points.length / 2, pixels = [], corner = [], weight = [], taken = new Uint8Array(width * height);
     canvas.width = width; canvas.height = height;
     for (let t = 0; t < triangles.length; t += 3) { // pixels inside each triangle, with their weights
       const [a, b, c] = [0, 1, 2].map(k => triangles[t + k]), [ax, ay] = [points[2 * a], points[2 * a + 1]];
@@ -27,8 +27,8 @@ const fieldCanvas = (() => {
       for (let y = Math.max(0, Math.ceil(Math.min(...ys))); y <= Math.min(height - 1, Math.max(...ys)); y++) {
         for (let x = Math.max(0, Math.ceil(Math.min(...xs))); x <= Math.min(width - 1, Math.max(...xs)); x++) {
           const q = ((x - ax) * vy - (y - ay) * vx) / area, r = (ux * (y - ay) - uy * (x - ax)) / area;
-          if (q < -1e-9 || r < -1e-9 || q + r > 1 + 1e-9) continue;
-          pixels.push(y * width + x); corner.push(a, b, c); weight.push(1 - q - r, q, r);
+          if (q < -1e-9 || r < -1e-9 || q + r > 1 + 1e-9 || taken[y * width + x]) continue;
+          taken[y * width + x] = 1; pixels.push(y * width + x); corner.push(a, b, c); weight.push(1 - q - r, q, r);
         }
       }
     }
@@ -187,13 +187,18 @@ const fieldCanvas = (() => {
       one.of("ramp").style.background = `linear-gradient(to top, ${one.data.colours[found.colours].join(", ")})`;
       ["high", "middle", "low"].forEach((name, i) => { one.of(name).textContent = told[i]; });
       one.of("unit").textContent = found.unit;
+      const expanded = median(found.expanded), bracket = one.of("bracket");
+      bracket.hidden = !(expanded > 0);
+      bracket.style.height = `${Math.min(100, 200 * expanded / width)}%`;
       const hertz = part("line").selectedOptions[0].textContent, { quantity } = found;
-      const what = { size: quantity.phasor ? "amplitude at " : "at ", phase: "phase at ", now: `at ${Math.round(state.phase / DEG) % 360}° of ` }[found.view];
-      one.of("shown").textContent = `${quantity.label}, ${what}${hertz}: ${KIND[quantity.kind]}.` +
-        (found.noise ? ` ${found.above} of ${one.canvas.count} subsets are above their noise, 5 % would be by chance.` : "");
+      const what = quantity.kind === "score" ? "mean over the frames" : { size: quantity.phasor ? "amplitude at " : "at ", phase: "phase at ", now: `at ${Math.round(state.phase / DEG) % 360}° of ` }[found.view] + hertz;
+      one.of("shown").textContent = `${quantity.label}, ${what}: ${KIND[quantity.kind]}.` +
+        (expanded > 0 ? ` U of a subset ${Number(expanded.toPrecision(2))}${found.unit === "°" ? "" : " "}${found.unit} (median).` : "") +
+        (found.noise ? ` ${found.above} of ${one.canvas.count} subsets are above their noise; 5 % would be by chance.` : "");
       one.of("probe").textContent = told_at(one, found);
     }
     function told_at(one, found) {
+      one.of("probe").classList.toggle("empty", one.mark === null);
       if (one.mark === null) return "Point at a subset, or use the arrow keys on the image.";
       const i = one.mark, at = [0, 1].map(c => ((one.data.points[2 * i + c] + 0.5) / one.data.scale - 0.5).toFixed(0));
       const unit = found.unit ? `${found.unit === "°" ? "" : " "}${found.unit}` : "";
