@@ -449,14 +449,23 @@ def transfer(options: argparse.Namespace) -> None:
 def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE.uff", help="file to write")
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("-o", "--output", type=path, metavar="FILE.uff", help="universal file to write")
+    text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
+    target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
     parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
-    parser.switch("--force", "overwrite a file that is there")
+    parser.switch("--force", "overwrite files that are there")
 
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411)."""
+    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411), or fields as images and VTK."""
+    if options.fields is not None:
+        from fusion.report.field_export import export_fields
+
+        written = export_fields(options.results, options.fields, force=options.force)
+        print(f"fields written: {options.fields} ({len(written)} files)")
+        return
     from fusion.report.universal_export import export_universal
 
     made = export_universal(options.results, options.output, text=options.text, force=options.force)

@@ -111,7 +111,9 @@ class ShapePhasors(Arrays):
         """Add the `form` of the shapes at points (N, 3) if the body deforms at any line."""
         if not self.deforms.any():
             return self
-        return replace(self, form=shapes(points_m) - np.einsum("ncm,ms->snc", displacement_jacobian(points_m), self.share))
+        return replace(
+            self, form=shapes(points_m) - np.einsum("ncm,ms->snc", displacement_jacobian(points_m), self.share)
+        )
 
     def notices(self) -> list[Notice]:
         """Return a warning for each line at which the body deforms beyond stated modes."""

@@ -169,12 +169,16 @@ def field_quantities(pair: PairField, line: int) -> list[FieldQuantity]:
         along = np.broadcast_to(axis, moved.shape)
         found.append(_component(pair, line, (f"d-{key}", f"displacement {name}", kind), moved, along))
     principal = principal_direction(moved, directions[0][2])
-    found.append(_component(pair, line, ("d-size", "|displacement|, along its largest direction", kind), moved, principal))
+    found.append(
+        _component(pair, line, ("d-size", "|displacement|, along its largest direction", kind), moved, principal)
+    )
     if pair.deviation is not None and pair.u_deviation is not None:
         deviation, u = pair.deviation[line], pair.u_deviation[line]
         for key, name, axis in directions:
             of_axis = np.hypot.reduce(u * axis, axis=1)
-            found.append(_deviation(pair, (f"r-{key}", f"deviation from rigid motion {name}"), deviation @ axis, of_axis))
+            found.append(
+                _deviation(pair, (f"r-{key}", f"deviation from rigid motion {name}"), deviation @ axis, of_axis)
+            )
         key, name, axis = directions[0]
         along = np.broadcast_to(axis, moved.shape)
         model = _component(pair, line, (f"m-{key}", f"rigid motion {name}", "model"), rigid, along, noise=False)

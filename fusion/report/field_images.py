@@ -231,18 +231,32 @@ def raster(points_px: FloatArray, triangles: NDArray[np.int64], shape: tuple[int
     return number, weight
 
 
+def _squares(points_px: FloatArray, image: NDArray[np.uint8], side_px: float) -> tuple[Any, Any]:
+    """Return the point (h, w) whose square holds each pixel, -1 for none."""
+    number = np.full(image.shape[:2], -1, dtype=np.int64)
+    for point, (x, y) in enumerate(points_px):
+        rows, columns = (slice(max(0, round(at - side_px / 2)), max(0, round(at + side_px / 2))) for at in (y, x))
+        number[rows, columns] = point
+    return number, None
+
+
 def overlay(
     image: NDArray[np.uint8],
     points_px: FloatArray,
     triangles: NDArray[np.int64],
     values: FloatArray,
     scale: FieldScale,
+    side_px: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """Return an image (h, w, 3) with colours for values (N,) of points, linear between them; NaN is left free."""
-    number, weight = raster(points_px, triangles, image.shape[:2])
+    """Return an image (h, w, 3) with colours for values (N,) of points; NaN is left free.
+
+    Linear between neighbours, or with a `side_px` each point as a square.
+    """
+    number, weight = (
+        raster(points_px, triangles, image.shape[:2]) if not side_px else _squares(points_px, image, side_px)
+    )
     shown = number >= 0
-    corners = values[triangles[number[shown]]]
-    found = np.einsum("pc,pc->p", corners, weight[shown])
+    found = values[number[shown]] if side_px else np.einsum("pc,pc->p", values[triangles[number[shown]]], weight[shown])
     share = np.clip((found - scale.low) / (scale.high - scale.low), 0.0, 1.0)
     colours = colour_table(scale.colours)[np.rint(255.0 * np.nan_to_num(share)).astype(np.int64)]
     out = np.repeat(image[..., None], 3, axis=2).astype(np.float64)
