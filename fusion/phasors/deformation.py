@@ -79,8 +79,8 @@ class ShapePhasors(Arrays):
     Corrected for the exposure. `phasors`: with the covariance of their noise. `effects` (P, K, S): changes per standard
     uncertainty of unknowns of all frames (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that
     an amplitude of 1 m adds to that of the pair. `chance` (K,): of an F at least as large on a rigid body. `modes`:
-    number of independent shapes that are significant at the lines together. `form` (S, N, 3): displacement of the points
-    in addition to the rigid motion of the pair, for an amplitude of 1 m; None if no line deforms.
+    number of independent shapes that are significant at the lines together. `form` (S, N, 3): displacement of the
+    points in addition to the rigid motion of the pair, for an amplitude of 1 m; None if no line deforms.
     """
 
     phasors: Phasors
@@ -94,7 +94,7 @@ class ShapePhasors(Arrays):
     @property
     def covariance(self) -> FloatArray:
         """Covariance (K, 2S, 2S) of all real and all imaginary parts, noise and effects."""
-        return _with_effects(self.phasors, self.effects)
+        return with_effects(self.phasors.covariance, self.effects)
 
     @property
     def u_size(self) -> FloatArray:
@@ -171,7 +171,7 @@ def shape_phasors(
         phasors = phase_rotated.shapes(time_s, fit, moved, partial(_tested_noise, time_s))
     free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
-    covariance = _with_effects(phasors, effects)
+    covariance = with_effects(phasors.covariance, effects)
     both = real_stack(phasors.value)
     square = np.einsum("ki,ki->k", both, np.linalg.solve(covariance, both[..., None])[..., 0])
     f = square * free / (2 * count * phasors.dof)
@@ -217,10 +217,10 @@ def _neighbouring_frequencies(time_s: FloatArray, frequency_hz: FloatArray, line
     return np.asarray(around[np.abs(folded[:, None] - taken).min(axis=1) > bin_hz])
 
 
-def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2S, 2S) of phasors with noise and effects (P, K, S)."""
+def with_effects(covariance: FloatArray, effects: ComplexArray) -> FloatArray:
+    """Return the covariance (K, 2S, 2S) of noise and of effects (P, K, S)."""
     both = real_stack(effects)
-    return np.asarray(phasors.covariance + np.einsum("pki,pkj->kij", both, both))
+    return np.asarray(covariance + np.einsum("pki,pkj->kij", both, both))
 
 
 def _independent(phasors: Phasors, covariance: FloatArray) -> int:

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.coverage import along_and_across, region_factor
+from fusion.phasors.deformation import ShapePhasors, with_effects
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.report.motion_figures import neighbour_distance
+from fusion.report.motion_figures import OUT_QUANTILE, neighbour_distance
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import displacement_jacobian
 from shaker.labels import AXES
@@ -66,6 +67,27 @@ class FieldQuantity:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
+class PointShapes(Arrays, shapes="form S N 3; value L S; covariance L P P"):
+    """Deformation of N points in S shapes that are fitted to all pixels.
+
+    `form` (S, N, 3): displacement for an amplitude of 1 m. `value` (L, S): amplitudes, peak phasors, with `covariance`
+    (L, 2S, 2S). `names`: of the shapes.
+    """
+
+    form: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, found: ShapePhasors | None) -> PointShapes | None:
+        """Return the shapes of a pair, None without a significant deformation."""
+        if found is None or found.form is None:
+            return None
+        return cls(found.form, found.phasors.value, found.covariance, found.phasors.channels)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
 class PairField(Arrays):
     """Tracked points of one stereo pair and their motion at L lines.
 
@@ -73,7 +95,7 @@ class PairField(Arrays):
     displacement phasors of the pair's body, with `covariance` (L, 12, 12) of all real and all imaginary parts, common
     errors included. `deviation`, `u_deviation` (L, N, 3): of the points from that motion; None for a single camera.
     `zncc` (N,): mean correlation. `image` (h, w): first left image, `pixels_per_px` of its pixels for one of the
-    camera. `driven` (3,): driven direction, None if it is no translation.
+    camera. `driven` (3,): driven direction, None if it is no translation. `shapes`: of a significant deformation.
     """
 
     name: str
@@ -90,6 +112,7 @@ class PairField(Arrays):
     pixels_per_px: float
     driven: FloatArray | None = None
     frames: int = 0
+    shapes: PointShapes | None = None
 
     @cached_property
     def subset_px(self) -> float:
@@ -154,6 +177,7 @@ class PairField(Arrays):
             deviation=None if self.deviation is None else self.deviation[:, kept],
             u_deviation=None if self.u_deviation is None else self.u_deviation[:, kept],
             zncc=None if self.zncc is None else self.zncc[kept],
+            shapes=None if self.shapes is None else replace(self.shapes, form=self.shapes.form[:, kept]),
         )
 
 
@@ -179,6 +203,7 @@ def field_quantities(pair: PairField, line: int) -> list[FieldQuantity]:
             found.append(
                 _deviation(pair, (f"r-{key}", f"deviation from rigid motion {name}"), deviation @ axis, of_axis)
             )
+        found += [] if pair.shapes is None else [_bending(pair.shapes, line, one) for one in directions]
         key, name, axis = directions[0]
         along = np.broadcast_to(axis, moved.shape)
         model = _component(pair, line, (f"m-{key}", f"rigid motion {name}", "model"), rigid, along, noise=False)
@@ -222,16 +247,33 @@ def _component(
     parts = np.einsum("ni,aibj,nj->nab", slope, blocks, slope)
     if noise and pair.u_deviation is not None:
         parts = parts + np.sum((along * pair.u_deviation[line]) ** 2, axis=1)[:, None, None] * np.eye(2)
-    frame = along_and_across(value)
-    variance = np.einsum("nii->ni", frame.swapaxes(1, 2) @ parts @ frame)
-    expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
-    return FieldQuantity(key, label, kind, "m", value, expanded[:, 0], expanded[:, 1])
+    return FieldQuantity(key, label, kind, "m", value, *_expanded(value, parts))
 
 
 def _deviation(pair: PairField, names: tuple[str, str], value: ComplexArray, u: FloatArray) -> FieldQuantity:
     """Return a deviation with the amplitude that noise of ν degrees of freedom exceeds at 5 % of the points."""
     expanded, noise = COVERAGE_FACTOR * u, float(region_factor(pair.dof)) * u
     return FieldQuantity(*names, "measured", "m", value, expanded, expanded, noise)
+
+
+def _bending(shapes: PointShapes, line: int, direction: tuple[str, str, FloatArray]) -> FieldQuantity:
+    """Return the deformation of the points in shapes along a direction."""
+    key, name, axis = direction
+    slope = (shapes.form @ axis).T
+    value, count = slope @ shapes.value[line], len(shapes.names)
+    parts = np.einsum("ns,asbt,nt->nab", slope, shapes.covariance[line].reshape(2, count, 2, count), slope)
+    expanded, across = _expanded(value, parts)
+    label = f"deformation in shapes ({', '.join(shapes.names)}) {name}"
+    noise = OUT_QUANTILE / COVERAGE_FACTOR * np.hypot(expanded, across) / np.sqrt(2.0)
+    return FieldQuantity(f"b-{key}", label, "measured", "m", value, expanded, across, noise)
+
+
+def _expanded(value: ComplexArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return U along phasors (N,) and at right angles, from covariances (N, 2, 2) of real and imaginary part."""
+    frame = along_and_across(value)
+    variance = np.einsum("nii->ni", frame.swapaxes(1, 2) @ parts @ frame)
+    expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
+    return expanded[:, 0], expanded[:, 1]
 
 
 def _noise(pair: PairField, line: int, direction: tuple[str, str, FloatArray]) -> FieldQuantity:
@@ -287,6 +329,7 @@ def _of_pair(evaluation: Evaluation, item: StereoResult) -> PairField | None:
         pixels_per_px=1.0,
         driven=_translation(evaluation.manifest.excitation.direction),
         frames=int(np.isfinite(item.motion.residual_m).sum()),
+        shapes=PointShapes.of(item.shapes),
     )
     return finite_points(made)
 
@@ -352,5 +395,17 @@ def _read_pair(file: h5py.File, name: str, driven: FloatArray | None) -> PairFie
         pixels_per_px=1.0 if image is None else float(image.attrs["pixels_per_px"]),
         driven=driven,
         frames=int(np.isfinite(group["motion/residual_m"][()]).sum()),
+        shapes=_read_shapes(group),
     )
     return finite_points(made)
+
+
+def _read_shapes(group: h5py.Group) -> PointShapes | None:
+    """Return the shapes of a pair of open results."""
+    if "shapes/form" not in group:
+        return None
+    shapes, found = group["shapes"], group["shapes/phasors"]
+    covariance = with_effects(found["covariance"][()], shapes["effects"][()])
+    return PointShapes(
+        shapes["form"][()], found["value"][()], covariance, tuple(found["channels"].asstr()[()].tolist())
+    )

@@ -173,12 +173,11 @@ class _Drawing:
         self.canvas = FigureCanvasAgg(figure)
         axes = figure.subplots()
         axes.set_axis_off()
-        axes.set_title(title, fontsize=9, loc="left")
+        self.title = axes.set_title(title, fontsize=9, loc="left")
         self.artist = axes.imshow(np.zeros((height, width, 3), np.uint8), interpolation="nearest")
         colours = LinearSegmentedColormap.from_list("field", list(scale.colours))
         limits = Normalize(scale.low / scale.factor, scale.high / scale.factor)
         figure.colorbar(ScalarMappable(limits, colours), ax=axes, shrink=0.9, label=scale.unit)
-        self.title = axes.title
 
     def drawn(self, values: FloatArray, title: str = "") -> NDArray[np.uint8]:
         """Return red, green, blue (h, w, 3) of the figure with values (N,)."""
@@ -193,8 +192,8 @@ class _Drawing:
 def _title(pair: PairField, line: int, quantity: FieldQuantity, what: str) -> str:
     """Return the title of an image: pair, quantity, line, kind and U."""
     unit, text = quantity.unit, f"{pair.name}, {quantity.label}"
-    if quantity.kind != "score":
-        text += f"\n{what}{pair.frequency_hz[line]:.4f} Hz, {quantity.kind}"
+    of_line = f"{what}{pair.frequency_hz[line]:.4f} Hz, {quantity.kind}"
+    text += "\nmean over the frames" if quantity.kind == "score" else f"\n{of_line}"
     if np.isfinite(quantity.expanded).any():
         from fusion.base import prefix
 

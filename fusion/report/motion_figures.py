@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import prefix
-from fusion.phasors.deformation import DeflectionShape
+from fusion.phasors.deformation import DeflectionShape, ShapePhasors
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import (
     BLACK,
@@ -27,6 +27,7 @@ from fusion.report.figure import (
     Scale,
     empty_figure,
 )
+from fusion.report.table import quantity_html
 from fusion.sensitivity.analyse import Evaluation
 from photogram.measure.epipolar import COVERAGE, EpipolarCheck
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
@@ -453,16 +454,20 @@ def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
 
 MOST_POINTS = 120  # of one tracked surface that a page shows
 SIGNIFICANT_RATIO = 1.5  # rms of a deflection over that of noise (chosen)
+VECTOR_QUANTILE = 3.548
+"""Amplitude of three components, in standard uncertainties of their parts, that noise exceeds at 5 % of the points:
+square root of the 95 % quantile of chi-square with 6 degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class TrackedSurface:
-    """Surface tracked by a pair: resolved lines and shown points."""
+    """Surface tracked by a pair: resolved lines and shown points; `fitted`: its deformation in shapes."""
 
     name: str
     usable: BoolArray
     shape: DeflectionShape
     shown: IntArray
+    fitted: ShapePhasors | None = None
 
     @property
     def points_m(self) -> FloatArray:
@@ -477,23 +482,51 @@ class TrackedSurface:
         value, u = self.shape.value[k], self.shape.u[k]
         return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
 
+    def _bends(self, line: int) -> ShapePhasors | None:
+        """Return the deformation in shapes if it is significant at a line and known at the points."""
+        fitted = self.fitted
+        if fitted is None or fitted.form is None or not self.usable[line]:
+            return None
+        return fitted if fitted.deforms[int(np.count_nonzero(self.usable[:line]))] else None
+
     def deflection(self, line: int) -> ComplexArray | None:
-        """Return the deflection (N, 3) of the shown points, None if not significant."""
-        sizes = self._sizes(line)
+        """Return the deflection (N, 3) of the shown points, None if not significant.
+
+        By the shapes fitted to all pixels where these are significant, else by the points; those not above their noise
+        are not deflected.
+        """
+        k, fitted, sizes = int(np.count_nonzero(self.usable[:line])), self._bends(line), self._sizes(line)
+        if fitted is not None and fitted.form is not None:
+            return np.asarray(np.einsum("s,snc->nc", fitted.phasors.value[k], fitted.form[:, self.shown]))
         if sizes is None or not sizes[0] > SIGNIFICANT_RATIO * sizes[1]:
             return None
-        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.shown])
+        value, u = self.shape.value[k][self.shown], self.shape.u[k][self.shown]
+        above = np.sqrt(np.sum(np.abs(value / u) ** 2, axis=1)) > VECTOR_QUANTILE
+        return np.asarray(np.where(above[:, None], value, 0.0))
+
+    def texts(self, line: int) -> Iterator[str]:
+        """Yield the amplitudes of significant shapes with U, and the size of the deflection of the points."""
+        fitted = self._bends(line)
+        if fitted is not None:
+            k = int(np.count_nonzero(self.usable[:line]))
+            sizes = np.abs(fitted.phasors.value[k]), fitted.u_size[k]
+            for name, size, u in zip(fitted.phasors.channels, *sizes, strict=True):
+                if size > OUT_QUANTILE * u:
+                    factor, letter = prefix(size)
+                    amount = quantity_html(size / factor, 2.0 * u / factor, f"{letter}m").striptags()
+                    yield f"{self.name}, {name}: {amount} (k = 2)"
+        if text := self.text(line):
+            yield text
 
     def text(self, line: int) -> str:
-        """Return the size of the deflection as text."""
+        """Return the size of the deflection of the points as text."""
         sizes = self._sizes(line)
         if sizes is None:
             return ""
         factor, letter = prefix(max(sizes))
         size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        end = (
-            f"of which noise {noise}" if self.deflection(line) is not None else f"not above noise ({noise}), not drawn"
-        )
+        above = sizes[0] > SIGNIFICANT_RATIO * sizes[1]
+        end = f"of which noise {noise}" if above else f"not above noise ({noise}), not drawn"
         return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
 
 
@@ -505,4 +538,4 @@ def tracked_surface(item: StereoResult) -> Iterator[TrackedSurface]:
     finite = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
     if len(finite) >= 3:
         chosen = np.unique(np.linspace(0, len(finite) - 1, min(MOST_POINTS, len(finite))).round().astype(int))
-        yield TrackedSurface(item.name, item.usable, shape, finite[chosen])
+        yield TrackedSurface(item.name, item.usable, shape, finite[chosen], item.shapes)

@@ -497,7 +497,7 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     displaced = body_displacements(evaluation)
     for k, f in enumerate(frequency.tolist()):
         texts = [_amplitude_text(body, polar[k], f) for body, polar in elements.items()]
-        texts += [text for surface in seen if (text := surface.text(k))]
+        texts += [text for surface in seen for text in surface.texts(k)]
         bent = {surface.name: value for surface in seen if (value := surface.deflection(k)) is not None}
         rigid = {body: phasors[k] for body, phasors in displaced.items()}
         multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1
