@@ -32,7 +32,7 @@ NEARLY = 0.98  # cosine between two directions that count as equal
 FEWEST_POINTS = 3  # that span a surface
 FIRST_IMAGE = "first_image"
 """Data set of the first left image in the results of a pair."""
-Kind = Literal["measured", "model", "score"]
+Kind = Literal["measured", "model", "shapes", "score"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class FieldQuantity:
     `value` (N,): peak phasors, or real numbers without a phase. `expanded` (N,): U of the amplitude or number, NaN if
     unknown; `across` (N,): U of the part at right angles to the phasor. `noise` (N,): amplitude that noise alone
     exceeds at 5 % of the points, None if the quantity is not compared with noise. `kind`: measured by the subsets,
-    model of a rigid body, or score of the correlation.
+    model of a rigid body, shapes fitted to all pixels, or score of the correlation.
     """
 
     key: str
@@ -263,9 +263,9 @@ def _bending(shapes: PointShapes, line: int, direction: tuple[str, str, FloatArr
     value, count = slope @ shapes.value[line], len(shapes.names)
     parts = np.einsum("ns,asbt,nt->nab", slope, shapes.covariance[line].reshape(2, count, 2, count), slope)
     expanded, across = _expanded(value, parts)
-    label = f"deformation in shapes ({', '.join(shapes.names)}) {name}"
     noise = OUT_QUANTILE / COVERAGE_FACTOR * np.hypot(expanded, across) / np.sqrt(2.0)
-    return FieldQuantity(f"b-{key}", label, "measured", "m", value, expanded, across, noise)
+    names = f"b-{key}", f"deformation in fitted shapes {name}"
+    return FieldQuantity(*names, "shapes", "m", value, expanded, across, noise)
 
 
 def _expanded(value: ComplexArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -167,7 +167,8 @@ class _Drawing:
         self.image, self.scale = pair.image, scale
         self.points = pair.pixels_per_px * (pair.points_px + 0.5) - 0.5
         self.triangles = pair.triangles
-        self.side = 0.94 * pair.pixels_per_px * pair.subset_px if quantity.noise is not None else 0.0
+        single = not quantity.above_noise.all()  # points without neighbours to interpolate with
+        self.side = 0.94 * pair.pixels_per_px * pair.subset_px if single else 0.0
         height, width = pair.image.shape
         figure = Figure(figsize=(WIDTH_IN, 0.84 * WIDTH_IN * height / width + 0.7), dpi=dpi, layout="constrained")
         self.canvas = FigureCanvasAgg(figure)
@@ -192,7 +193,8 @@ class _Drawing:
 def _title(pair: PairField, line: int, quantity: FieldQuantity, what: str) -> str:
     """Return the title of an image: pair, quantity, line, kind and U."""
     unit, text = quantity.unit, f"{pair.name}, {quantity.label}"
-    of_line = f"{what}{pair.frequency_hz[line]:.4f} Hz, {quantity.kind}"
+    kind = "shapes fitted to all pixels" if quantity.kind == "shapes" else quantity.kind
+    of_line = f"{what}{pair.frequency_hz[line]:.4f} Hz, {kind}"
     text += "\nmean over the frames" if quantity.kind == "score" else f"\n{of_line}"
     if np.isfinite(quantity.expanded).any():
         from fusion.base import prefix

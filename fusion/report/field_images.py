@@ -73,6 +73,7 @@ class FieldPage(NamedTuple):
     measured: bool
     k: float
     ramp: str
+    shapes: list[str]
 
 
 def field_page(pairs: Sequence[PairField], results: Sequence[StereoResult], shown: Sequence[str]) -> FieldPage | None:
@@ -95,7 +96,8 @@ def field_page(pairs: Sequence[PairField], results: Sequence[StereoResult], show
             names.setdefault(one.key, _shared_label(one.label) if len(pairs) > 1 else one.label)
     measured = any(pair.deviation is not None for pair in pairs)
     texts, ramp = [f"{hertz:.4f} Hz" for hertz in lines], ", ".join(COLOURS["viridis"])
-    return FieldPage(figures, list(names.items()), texts, measured, COVERAGE_FACTOR, ramp)
+    shapes = list(dict.fromkeys(name for pair in pairs if pair.shapes is not None for name in pair.shapes.names))
+    return FieldPage(figures, list(names.items()), texts, measured, COVERAGE_FACTOR, ramp, shapes)
 
 
 def _shared_label(label: str) -> str:

@@ -525,8 +525,11 @@ class TrackedSurface:
             return ""
         factor, letter = prefix(max(sizes))
         size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        above = sizes[0] > SIGNIFICANT_RATIO * sizes[1]
-        end = f"of which noise {noise}" if above else f"not above noise ({noise}), not drawn"
+        above, drawn = (
+            sizes[0] > SIGNIFICANT_RATIO * sizes[1],
+            "drawn by its shapes" if self._bends(line) else "not drawn",
+        )
+        end = f"of which noise {noise}" if above else f"not above noise ({noise}), {drawn}"
         return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
 
 

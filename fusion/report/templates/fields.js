@@ -100,7 +100,7 @@ const fieldCanvas = (() => {
 })();
 
 (() => {
-  const TURN_S = 2.0, STEP = 15, LINES = 9, DEG = Math.PI / 180, KIND = { model: "model of a rigid body", measured: "measured", score: "score" };
+  const TURN_S = 2.0, STEP = 15, LINES = 9, DEG = Math.PI / 180, KIND = { model: "model of a rigid body", measured: "measured", shapes: "shapes fitted to all pixels", score: "score" };
   const signed = text => text.replace("-", "\u2212");
   const fixed = (value, expanded) => { // two significant digits of U
     if (!(expanded > 0)) return signed(String(+value.toPrecision(5)));
@@ -133,8 +133,9 @@ const fieldCanvas = (() => {
       const re = column(0), im = phasor ? column(1) : null, along = column(phasor ? 2 : 1), across = phasor ? column(3) : null;
       const size = phasor ? re.map((x, i) => Math.hypot(x, im[i])) : re, noise = quantity.noise ? column(4) : null;
       const above = i => !noise || size[i] > noise[i], hidden = i => part("mask").checked && !above(i);
-      const view = phasor ? state.view : "size", found = { quantity, unit: line.unit, cells: Boolean(noise) && part("mask").checked, view };
-      found.above = noise ? size.reduce((sum, _, i) => sum + above(i), 0) : null;
+      const view = phasor ? state.view : "size", found = { quantity, unit: line.unit, view };
+      found.above = noise ? size.reduce((sum, _, i) => sum + above(i), 0) : n;
+      found.cells = found.above < n && part("mask").checked; // single points: nothing to interpolate
       let shown = size, expanded = along, low, high;
       if (view === "now") {
         const turn = i => Math.atan2(im[i], re[i]) + state.phase;
@@ -194,7 +195,7 @@ const fieldCanvas = (() => {
       const what = quantity.kind === "score" ? "mean over the frames" : { size: quantity.phasor ? "amplitude at " : "at ", phase: "phase at ", now: `at ${Math.round(state.phase / DEG) % 360}° of ` }[found.view] + hertz;
       one.of("shown").textContent = `${quantity.label}, ${what}: ${KIND[quantity.kind]}.` +
         (expanded > 0 ? ` U of a subset ${Number(expanded.toPrecision(2))}${found.unit === "°" ? "" : " "}${found.unit} (median).` : "") +
-        (found.noise ? ` ${found.above} of ${one.canvas.count} subsets are above their noise; 5 % would be by chance.` : "");
+        (found.noise ? ` ${found.above} of ${one.canvas.count} subsets are above their noise${quantity.kind === "measured" ? "; 5 % would be by chance" : ""}.` : "");
       one.of("probe").textContent = told_at(one, found);
     }
     function told_at(one, found) {

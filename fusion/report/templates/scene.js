@@ -160,7 +160,10 @@
       pen.setLineDash(primitive.dashed ? [4, 4] : []);
       path(primitive.at);
       if (primitive.kind === "face") {
-        pen.closePath(); pen.globalAlpha = Math.min(1, primitive.alpha * (chosen ? 1.5 : 1)); pen.fill(); pen.globalAlpha = 1;
+        pen.closePath();
+        if (primitive.shape.o === 1) { pen.fillStyle = colours.back; pen.fill(); pen.fillStyle = primitive.colour; }
+        pen.globalAlpha = Math.min(1, primitive.alpha * (chosen ? 1.5 : 1)); pen.fill(); pen.globalAlpha = 1;
+        if (primitive.shape.o === 1) { pen.strokeStyle = colours.ink; pen.lineWidth = 0.5; pen.stroke(); }
       } else if (primitive.kind === "line") {
         pen.globalAlpha = primitive.thin ? 0.5 : 1; pen.stroke(); pen.globalAlpha = 1;
         if (primitive.head) head(...primitive.at);
@@ -195,7 +198,7 @@
     function bar() { // a length at the distance of the middle
       const size = basis.scale / basis.distance, wanted = 110 / size, power = 10 ** Math.floor(Math.log10(wanted));
       const length = power * [5, 2, 1].find(f => f * power <= wanted), x = 16, y = height - 14;
-      pen.strokeStyle = pen.fillStyle = colours.frame; pen.lineWidth = 1.5; pen.setLineDash([]);
+      pen.strokeStyle = pen.fillStyle = colours.frame ?? colours.ink; pen.lineWidth = 1.5; pen.setLineDash([]);
       path([[x, y - 4], [x, y], [x + length * size, y], [x + length * size, y - 4]]); pen.stroke();
       pen.font = "12px " + colours.font; pen.fillText(`${length} mm`, x + 5, y - 6);
     }
@@ -323,7 +326,7 @@
     // Size, colours, and whether anyone can see it.
     function paintbox() {
       const style = getComputedStyle(figure), of = name => style.getPropertyValue(name).trim();
-      colours = { back: of("--paper"), soft: of("--soft"), font: style.fontFamily };
+      colours = { back: of("--paper"), ink: of("--ink"), soft: of("--soft"), font: style.fontFamily };
       for (const chip of parts("chip")) colours[chip.dataset.kind] = getComputedStyle(chip).color;
       draw();
     }
