@@ -111,12 +111,12 @@ const fieldCanvas = (() => {
   const ends = list => { const kept = [...list].filter(Number.isFinite); return kept.length ? [Math.min(...kept), Math.max(...kept)] : [0, 1]; };
 
   function start(panel) {
-    const part = name => panel.querySelector(`[data-part="${name}"]`);
+    const part = name => panel.querySelector(`[data-field="${name}"]`);
     const calm = matchMedia("(prefers-reduced-motion: reduce)");
     const state = { key: part("quantity").value, line: 0, view: "size", range: "fit", phase: 0, playing: false, seen: true };
     let before = 0, asked = 0;
     const figures = [...panel.querySelectorAll("figure")].map(figure => {
-      const data = JSON.parse(figure.querySelector("script[type='application/json']").textContent), of = name => figure.querySelector(`[data-part="${name}"]`);
+      const data = JSON.parse(figure.querySelector("script[type='application/json']").textContent), of = name => figure.querySelector(`[data-field="${name}"]`);
       data.points = fieldCanvas.decode(data.points);
       const same = [...document.querySelectorAll("figure.moving")].find(one => one.dataset.name === data.name);
       const image = of("image") ?? same.querySelector("img");
