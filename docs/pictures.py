@@ -22,6 +22,7 @@ IMAGES = Path(__file__).resolve().parent / "images"
 WIDTH, SCALE = 1200, 1.0
 PICTURES = {
     "report": ("demo", "run MADE -o OUT", "Fz-0080/report.html", "#figure-sources", "#figure-components-load"),
+    "fields": ("demo", "run MADE -o OUT", "Fz-0080/report.html", ".fields .controls", ".fields figure:last-of-type"),
     "campaign": ("matrix", "run MADE -o OUT", "report.html", "header", "#sensitivity figure"),
     "step": ("steps", "step MADE -o OUT", "step.html", "#figure-step-Fz", "#figure-bode-Fz"),
     "compensate": ("", "compensate STEP --frequency 3000 --damping 0.6 -o OUT", "compensate.html", "figure", "figure"),
