@@ -459,7 +459,10 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411), or fields as images and VTK."""
+    """Export results or channels as a universal file, or fields as images and VTK.
+
+    Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
+    """
     if options.fields is not None:
         from fusion.report.field_export import export_fields
 

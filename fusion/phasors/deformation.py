@@ -108,7 +108,7 @@ class ShapePhasors(Arrays):
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def at_points(self, shapes: Shapes, points_m: FloatArray) -> ShapePhasors:
-        """Add the `form` of the shapes at points (N, 3) if the body deforms at any line."""
+        """Add the `form` of the shapes at points (N, 3) if the body deforms."""
         if not self.deforms.any():
             return self
         return replace(

@@ -187,7 +187,6 @@ def stereo_phasors(
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
         if isinstance(view.rig, StereoRig):
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
-            shapes = shapes and shapes.at_points(view.deformed.shapes, next(iter(measured.deformation)).reference_m)
         notices += _of_pattern(measured, view, lines, usable, moved, effects)
     reading = StereoReading(
         name=name,
@@ -380,8 +379,12 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
     sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:
         sigma_px = np.array([np.nanmedian([side.predicted_sigma_px for side in view.quality]), view.sigma_px])
+    shapes, deflection = result.shapes, result.deflection
+    if shapes is not None and deflection is not None:
+        shapes = shapes.at_points(view.deformed.shapes, deflection.reference_m)
     return replace(
         result,
+        shapes=shapes,
         reference_image=view.reference_image,
         subsets_px=first.left.position_px[0],
         speckle_px=float(np.min(first.speckle_px)),

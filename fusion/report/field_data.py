@@ -1,4 +1,4 @@
-"""Fields of a stereo pair: what its subsets measure at a line, point by point, with uncertainty.
+"""Fields of a stereo pair: quantities of its subsets at a line, with uncertainty.
 
 The displacement of a subset is the rigid motion of the pair at the subset plus the deviation of the subset from it. The
 deviation is measured by the subset alone. Quantities that only evaluate the rigid motion at the points are named model.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fusion.estimation.coverage import along_and_across, region_factor
 from fusion.phasors.deformation import ShapePhasors, with_effects
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.report.motion_figures import OUT_QUANTILE, neighbour_distance
+from fusion.report.page_images import neighbour_distance
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import displacement_jacobian
 from shaker.labels import AXES
@@ -58,6 +58,12 @@ class FieldQuantity:
     def amplitude(self) -> FloatArray:
         """Amplitudes, or the numbers."""
         return np.asarray(np.abs(self.value) if self.across is not None else self.value.real)
+
+    @property
+    def u_part(self) -> FloatArray:
+        """Standard uncertainties (N,) of the real and of the imaginary part, their root mean square."""
+        across = self.expanded if self.across is None else self.across
+        return np.asarray(np.hypot(self.expanded, across) / np.sqrt(2.0) / COVERAGE_FACTOR)
 
     @property
     def above_noise(self) -> BoolArray:
@@ -139,7 +145,7 @@ class PairField(Arrays):
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the points' scatter: frames without an offset and two parts of each line."""
+        """Degrees of freedom of the points' scatter over the frames."""
         return max(self.frames - 2 * len(self.frequency_hz) - 1, 1)
 
     @property
@@ -148,7 +154,7 @@ class PairField(Arrays):
         return int(np.argmax(np.linalg.norm(np.nan_to_num(self.rigid[:, :3]), axis=1)))
 
     def displacement(self, line: int) -> ComplexArray:
-        """Return the displacement (N, 3) of the points: measured, or of the rigid model for a single camera."""
+        """Return the displacement (N, 3) of the points; of a single camera, the rigid model."""
         rigid = displacement_jacobian(self.reference_m) @ self.rigid[line]
         return np.asarray(rigid if self.deviation is None else rigid + self.deviation[line])
 
@@ -160,7 +166,7 @@ class PairField(Arrays):
         return f"{name} ({', '.join(remarks)})" if remarks else name
 
     def directions(self) -> list[tuple[str, str, FloatArray]]:
-        """Return key, name and unit vector of the shown directions, the driven or largest one first."""
+        """Return key, name and unit vector of the directions, the driven one first."""
         axes = [(AXES[k], self.axis_name(axis, AXES[k]), axis) for k, axis in enumerate(np.eye(3))]
         if self.driven is None:
             first = int(np.argmax(np.abs(np.nan_to_num(self.rigid[self.main_line, :3]))))
@@ -168,16 +174,16 @@ class PairField(Arrays):
             return [("driven", self.axis_name(self.driven, "the drive"), self.driven), *axes]
         return [axes[first], *axes[:first], *axes[first + 1 :]]
 
-    def without_points(self, kept: BoolArray) -> PairField:
+    def without_points(self, selected: BoolArray) -> PairField:
         """Return the field at some of its points (N,)."""
         return replace(
             self,
-            points_px=self.points_px[kept],
-            reference_m=self.reference_m[kept],
-            deviation=None if self.deviation is None else self.deviation[:, kept],
-            u_deviation=None if self.u_deviation is None else self.u_deviation[:, kept],
-            zncc=None if self.zncc is None else self.zncc[kept],
-            shapes=None if self.shapes is None else replace(self.shapes, form=self.shapes.form[:, kept]),
+            points_px=self.points_px[selected],
+            reference_m=self.reference_m[selected],
+            deviation=None if self.deviation is None else self.deviation[:, selected],
+            u_deviation=None if self.u_deviation is None else self.u_deviation[:, selected],
+            zncc=None if self.zncc is None else self.zncc[selected],
+            shapes=None if self.shapes is None else replace(self.shapes, form=self.shapes.form[:, selected]),
         )
 
 
@@ -215,7 +221,9 @@ def field_quantities(pair: PairField, line: int) -> list[FieldQuantity]:
 
 
 def principal_direction(phasors: ComplexArray, towards: FloatArray) -> FloatArray:
-    """Return the directions (N, 3) of the largest displacement of points with phasors (N, 3) during a period.
+    """Return the directions (N, 3) of the largest displacement of points during a period.
+
+    `phasors` (N, 3): of their displacement.
 
     Re{D·exp(jφ)} runs on an ellipse; its major axis is at the phase with 2φ = -arg(D·D), where the imaginary part is at
     right angles. Their sense is that of `towards` (3,).
@@ -251,7 +259,7 @@ def _component(
 
 
 def _deviation(pair: PairField, names: tuple[str, str], value: ComplexArray, u: FloatArray) -> FieldQuantity:
-    """Return a deviation with the amplitude that noise of ν degrees of freedom exceeds at 5 % of the points."""
+    """Return a deviation with the amplitude that noise exceeds at 5 % of the points."""
     expanded, noise = COVERAGE_FACTOR * u, float(region_factor(pair.dof)) * u
     return FieldQuantity(*names, "measured", "m", value, expanded, expanded, noise)
 
@@ -263,13 +271,13 @@ def _bending(shapes: PointShapes, line: int, direction: tuple[str, str, FloatArr
     value, count = slope @ shapes.value[line], len(shapes.names)
     parts = np.einsum("ns,asbt,nt->nab", slope, shapes.covariance[line].reshape(2, count, 2, count), slope)
     expanded, across = _expanded(value, parts)
-    noise = OUT_QUANTILE / COVERAGE_FACTOR * np.hypot(expanded, across) / np.sqrt(2.0)
+    noise = float(region_factor(np.inf)) / COVERAGE_FACTOR * np.hypot(expanded, across) / np.sqrt(2.0)
     names = f"b-{key}", f"deformation in fitted shapes {name}"
     return FieldQuantity(*names, "shapes", "m", value, expanded, across, noise)
 
 
 def _expanded(value: ComplexArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return U along phasors (N,) and at right angles, from covariances (N, 2, 2) of real and imaginary part."""
+    """Return U along phasors (N,) and at right angles, from covariances (N, 2, 2)."""
     frame = along_and_across(value)
     variance = np.einsum("nii->ni", frame.swapaxes(1, 2) @ parts @ frame)
     expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
@@ -292,7 +300,7 @@ def _noise(pair: PairField, line: int, direction: tuple[str, str, FloatArray]) -
 
 
 def pair_fields(evaluation: Evaluation) -> list[PairField]:
-    """Return the fields of all stereo pairs with tracked points in their images, the load first."""
+    """Return the fields of all stereo pairs with images, the load first."""
     found = [
         made
         for item in evaluation.stereo
@@ -353,7 +361,7 @@ def common_covariance(frequency_hz: FloatArray, noise: FloatArray, acceleration:
 
 
 def finite_points(pair: PairField) -> PairField | None:
-    """Return a field at its finite points, None if they are too few for a surface."""
+    """Return a field at its finite points, None for too few points."""
     finite = np.isfinite(pair.reference_m).all(axis=1) & np.isfinite(pair.points_px).all(axis=1)
     if pair.deviation is not None and pair.u_deviation is not None:
         finite &= np.isfinite(pair.deviation).all(axis=(0, 2)) & np.isfinite(pair.u_deviation).all(axis=(0, 2))

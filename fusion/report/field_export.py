@@ -1,10 +1,11 @@
-"""Fields of stereo pairs as files: PNG with a colour bar, animated WebP and MP4, and VTK (`shakercal export`)."""
+"""Fields of stereo pairs as files: PNG, animated WebP, MP4 and VTK."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +32,7 @@ MARKER = "fields.txt"
 
 
 def export_fields(results: Path, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the fields of all stereo pairs of results into a folder and return the paths.
+    """Write the fields of all stereo pairs and return the paths.
 
     `results`: folder of a recording or campaign, or a result file.
     """
@@ -127,13 +128,13 @@ def _written(folder: Path, name: str, content: str | bytes) -> str:
 
 
 def pair_vtp(pair: PairField, line: int) -> str:
-    """Return the points of a pair at a line as VTK PolyData in the sensor frame, in SI.
+    """Return the points of a pair at a line as VTK PolyData.
 
-    Standard uncertainties are those of the real and of the imaginary part, their root mean square.
+    In the sensor frame, in SI. Standard uncertainties are root mean squares of those of real and imaginary part.
     """
     moved = pair.displacement(line)
     axes = {key[2:]: one for one in field_quantities(pair, line) if (key := one.key).startswith("d-")}
-    u = [np.hypot(axes[a].expanded, axes[a].across) / np.sqrt(2.0) / COVERAGE_FACTOR for a in "xyz"]
+    u = [axes[axis].u_part for axis in "xyz"]
     values = {
         "displacement_re_m": moved.real,
         "displacement_im_m": moved.imag,
@@ -186,8 +187,9 @@ class _Drawing:
         self.artist.set_data(overlay(*arguments))
         if title:
             self.title.set_text(title)
-        self.canvas.draw()
-        return np.array(self.canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
+        canvas: Any = self.canvas  # without types
+        canvas.draw()
+        return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
 
 
 def _title(pair: PairField, line: int, quantity: FieldQuantity, what: str) -> str:
@@ -208,7 +210,10 @@ def _title(pair: PairField, line: int, quantity: FieldQuantity, what: str) -> st
 
 
 def field_png(pair: PairField, line: int, quantity: FieldQuantity) -> bytes:
-    """Return the amplitudes of a quantity over the image as PNG; values below their noise are left out."""
+    """Return the amplitudes of a quantity over the image as PNG.
+
+    Values below their noise are left out.
+    """
     amplitude = quantity.amplitude
     scale = value_scale(amplitude, quantity.expanded, quantity.unit)
     if quantity.noise is not None:
@@ -220,7 +225,10 @@ def field_png(pair: PairField, line: int, quantity: FieldQuantity) -> bytes:
 
 
 def _animation(folder: Path, name: str, pair: PairField, line: int, quantity: FieldQuantity) -> Iterator[str]:
-    """Write one period of a quantity as animated WebP, and as MP4 if the system can, and yield their names."""
+    """Write one period of a quantity as animated WebP and MP4, and yield their names.
+
+    MP4 only if the system can write it.
+    """
     from PIL import Image
 
     scale = value_scale(quantity.amplitude, quantity.expanded, quantity.unit, signed=True)
@@ -236,7 +244,7 @@ def _animation(folder: Path, name: str, pair: PairField, line: int, quantity: Fi
     yield _written(folder, f"{name}.webp", stream.getvalue())
     height, width = (2 * (length // 2) for length in frames[0].shape[:2])
     path = folder / f"{name}.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 1000.0 / FRAME_MS, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 1000.0 / FRAME_MS, (width, height))
     if writer.isOpened():
         for frame in frames * 3:
             writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))

@@ -1,4 +1,4 @@
-"""Fields of stereo pairs as colours over camera images: what a page draws and what it shows without scripts.
+"""Fields of stereo pairs as colours over camera images, for pages.
 
 `templates/fields.js` draws them interactively. Images, points, values, U and phases of a field are its data.
 """
@@ -18,7 +18,7 @@ from fusion.base import prefix
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.field_data import COVERAGE_FACTOR, FieldQuantity, PairField, field_quantities
 from fusion.report.figure import PHASE_COLOURS
-from fusion.report.moving_image import jpeg_source, reduced_image
+from fusion.report.page_images import jpeg_source, reduced_image
 from fusion.report.svg_marks import COLOURS
 from shakercal._common.arrays import BoolArray, FloatArray
 
@@ -32,7 +32,7 @@ OUTSIDE = -1e-9  # smallest barycentric coordinate inside a triangle
 
 
 class FieldScale(NamedTuple):
-    """Colours from `low` to `high` in `factor` of the unit, which has the SI prefix `letter`."""
+    """Colours from `low` to `high`, and the `factor` of their `unit` with SI prefix."""
 
     low: float
     high: float
@@ -44,8 +44,8 @@ class FieldScale(NamedTuple):
 class FieldFigure(NamedTuple):
     """One field of a page; `json` is safe within a page.
 
-    `source`: address of the plain image, empty if the page shows it elsewhere by the same name. `still`: address of the
-    image with the colours of the first quantity, described by `caption` and the ends `low` and `high` of its scale.
+    `source`: address of the plain image, empty if the page shows it elsewhere by the same name. `coloured`: address of
+    the image with the colours of the first quantity, described by `caption` and the ends `low` and `high` of its scale.
     """
 
     name: str
@@ -53,7 +53,7 @@ class FieldFigure(NamedTuple):
     width: int
     height: int
     source: str
-    still: str
+    coloured: str
     label: str
     low: str
     high: str
@@ -102,8 +102,8 @@ def field_page(pairs: Sequence[PairField], results: Sequence[StereoResult], show
 
 def _shared_label(label: str) -> str:
     """Return a label without the relation to the surface, which differs between pairs."""
-    kept = label.replace(", out of plane)", ")").replace(", in plane)", ")")
-    return kept.replace(" (out of plane)", "").replace(" (in plane)", "")
+    shared = label.replace(", out of plane)", ")").replace(", in plane)", ")")
+    return shared.replace(" (out of plane)", "").replace(" (in plane)", "")
 
 
 def _figure(
@@ -111,7 +111,7 @@ def _figure(
 ) -> tuple[FieldFigure, list[FieldQuantity]]:
     """Return the figure of a pair and its quantities."""
     small, scale = reduced_image(image)
-    total, pair = len(pair.points_px), pair.without_points(thinned(pair.points_px, pair.subset_px))
+    total, pair = len(pair.points_px), pair.without_points(decimate_points(pair.points_px, pair.subset_px))
     points = scale * (pair.points_px + 0.5) - 0.5
     at = [int(np.argmin(np.abs(pair.frequency_hz - hertz))) for hertz in lines]
     found = [(abs(pair.frequency_hz[k] - hertz) < 0.01 * hertz, k) for k, hertz in zip(at, lines, strict=True)]
@@ -132,9 +132,20 @@ def _figure(
         "opacity": OPACITY,
     }
     figure = FieldFigure(
-        *(pair.name, pair.body, small.shape[1], small.shape[0], "" if elsewhere else jpeg_source(small)),
-        *(jpeg_source(colours), first[0].label, low, high, scaling.unit, total, len(points), pair.frames),
-        htmlsafe_json_dumps(data, separators=(",", ":")),
+        name=pair.name,
+        body=pair.body,
+        width=small.shape[1],
+        height=small.shape[0],
+        source="" if elsewhere else jpeg_source(small),
+        coloured=jpeg_source(colours),
+        label=first[0].label,
+        low=low,
+        high=high,
+        unit=scaling.unit,
+        points=total,
+        shown=len(points),
+        frames=pair.frames,
+        json=htmlsafe_json_dumps(data, separators=(",", ":")),
     )
     return figure, first
 
@@ -144,7 +155,9 @@ def _line(quantities: Sequence[FieldQuantity], key: str) -> FieldQuantity | None
 
 
 def _quantity(one: FieldQuantity, lines: Sequence[FieldQuantity | None]) -> Mapping[str, Any]:
-    """Return a quantity at all lines: numbers with their unit, for phasors Re, Im, U along and U across."""
+    """Return a quantity at all lines, as numbers with their unit.
+
+    For phasors Re, Im, U along and U across, then the noise; for others value and U."""
     phasor, shown = one.across is not None, list[Any]()
     for found in lines:
         if found is None:
@@ -170,14 +183,14 @@ def _coded(values: FloatArray) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
-def thinned(points_px: FloatArray, step_px: float) -> BoolArray:
-    """Return which points (N,) a page shows: every second, third … row and column of the grid."""
+def decimate_points(points_px: FloatArray, step_px: float) -> BoolArray:
+    """Return which points (N,) a page shows: every n-th row and column."""
     places = np.round((points_px - points_px.min(axis=0)) / max(step_px, 1e-9)).astype(np.int64)
     every = 1
     while np.count_nonzero((places % every == 0).all(axis=1)) > MOST_POINTS:
         every += 1
-    kept = np.asarray((places % every == 0).all(axis=1))
-    return kept if np.count_nonzero(kept) >= 3 else np.ones(len(points_px), dtype=np.bool_)
+    chosen = np.asarray((places % every == 0).all(axis=1))
+    return chosen if np.count_nonzero(chosen) >= 3 else np.ones(len(points_px), dtype=np.bool_)
 
 
 # Colours.
@@ -217,7 +230,7 @@ def colour_table(colours: Sequence[str], levels: int = 256) -> NDArray[np.uint8]
 
 
 def raster(points_px: FloatArray, triangles: NDArray[np.int64], shape: tuple[int, int]) -> tuple[Any, Any]:
-    """Return the triangle (h, w) of every pixel, -1 for none, and its barycentric coordinates (h, w, 3)."""
+    """Return the triangle of every pixel, -1 for none, and its barycentric coordinates."""
     number, weight = np.full(shape, -1, dtype=np.int64), np.zeros((*shape, 3))
     for t, corners in enumerate(points_px[triangles]):
         low = np.maximum(np.ceil(corners.min(axis=0)).astype(int), 0)
@@ -250,9 +263,9 @@ def overlay(
     scale: FieldScale,
     side_px: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """Return an image (h, w, 3) with colours for values (N,) of points; NaN is left free.
+    """Return an image with colours for values (N,) of points.
 
-    Linear between neighbours, or with a `side_px` each point as a square.
+    Linear between neighbours, or with a `side_px` each point as a square. NaN is left free.
     """
     number, weight = (
         raster(points_px, triangles, image.shape[:2]) if not side_px else _squares(points_px, image, side_px)

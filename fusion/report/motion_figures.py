@@ -27,6 +27,7 @@ from fusion.report.figure import (
     Scale,
     empty_figure,
 )
+from fusion.report.page_images import neighbour_distance, shown_grey
 from fusion.report.table import quantity_html
 from fusion.sensitivity.analyse import Evaluation
 from photogram.measure.epipolar import COVERAGE, EpipolarCheck
@@ -363,12 +364,6 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
     panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{deviation:.2g}'):g}", align="right")
 
 
-def shown_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image (H, W) with its contrast stretched to 256 shades."""
-    low, high = np.percentile(image, (0.5, 99.5))
-    return np.asarray(255.0 * np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0), dtype=np.uint8)
-
-
 def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     """Draw one reference image, reduced to its size on the page."""
     height, width = image.shape
@@ -377,18 +372,6 @@ def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     panel.image(shown.astype(np.uint8), (-0.5, width - 0.5), (-0.5, height - 0.5))
     panel.x.limits, panel.y.limits = (-0.5, width - 0.5), (height - 0.5, -0.5)
     panel.equal, panel.x.grid, panel.y.grid = True, False, False
-
-
-def neighbour_distance(points: FloatArray, least: float) -> float:
-    """Return the median distance of neighbours on a grid of points (N, 2).
-
-    Points closer than `least` count as one point.
-    """
-    sample = points[:: max(1, len(points) // 200)]
-    across, down = (np.abs(np.subtract.outer(mine, every)) for mine, every in zip(sample.T, points.T, strict=True))
-    distance = np.maximum(across, down)
-    distance[distance < least] = np.inf
-    return float(np.median(distance.min(axis=1)))
 
 
 # Figure of one stereo pair: whether its cameras agree with their calibration.
@@ -483,7 +466,7 @@ class TrackedSurface:
         return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
 
     def _bends(self, line: int) -> ShapePhasors | None:
-        """Return the deformation in shapes if it is significant at a line and known at the points."""
+        """Return the deformation in shapes, None if it is not significant at a line."""
         fitted = self.fitted
         if fitted is None or fitted.form is None or not self.usable[line]:
             return None
@@ -505,7 +488,7 @@ class TrackedSurface:
         return np.asarray(np.where(above[:, None], value, 0.0))
 
     def texts(self, line: int) -> Iterator[str]:
-        """Yield the amplitudes of significant shapes with U, and the size of the deflection of the points."""
+        """Yield amplitudes of significant shapes with U, and the deflection of the points."""
         fitted = self._bends(line)
         if fitted is not None:
             k = int(np.count_nonzero(self.usable[:line]))

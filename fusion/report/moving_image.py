@@ -6,26 +6,22 @@ the tracked points stay. templates/moving.js draws the image magnified, in the p
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.rig import Stereo
-from fusion.report.motion_figures import neighbour_distance, shown_grey
+from fusion.report.page_images import jpeg_source, neighbour_distance, reduced_image
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, displacement_jacobian
 from shakercal._common.arrays import ComplexArray, FloatArray
 
-WIDEST_PX = 640  # of an image on a page
-JPEG_QUALITY = 72
 COLUMNS = 24  # cells of the mesh that bends an image
 SHOWN_SHARE = 0.025  # of the width: largest displacement at the first magnification
 STEP_M = 1e-6  # of the difference quotient of the projection
@@ -81,22 +77,6 @@ def _moving_image(item: StereoResult, stated: Stereo, moved: ComplexArray) -> Mo
     return MovingImage(
         item.name, item.body, *size, jpeg_source(small), htmlsafe_json_dumps(data, separators=(",", ":"))
     )
-
-
-def reduced_image(image: NDArray[Any]) -> tuple[NDArray[np.uint8], float]:
-    """Return an image with stretched contrast as a page shows it, and its pixels for one of the camera."""
-    grey = shown_grey(image)
-    height, width = grey.shape
-    scale = min(1.0, WIDEST_PX / width)
-    size = round(width * scale), round(height * scale)
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8), scale
-
-
-def jpeg_source(image: NDArray[np.uint8]) -> str:
-    """Return an image, grey (h, w) or coloured (h, w, 3), as the address of a page."""
-    shown = image if image.ndim == 2 else image[:, :, ::-1]
-    coded = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    return f"data:image/jpeg;base64,{base64.b64encode(coded).decode('ascii')}"
 
 
 def _nodes(width: int, height: int) -> FloatArray:

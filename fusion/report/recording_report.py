@@ -37,7 +37,8 @@ from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
-from fusion.report.moving_image import moving_images, reduced_image
+from fusion.report.moving_image import moving_images
+from fusion.report.page_images import reduced_image
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import body_displacements, evaluation_scene, scene_page
 from fusion.report.result_figures import (
@@ -357,7 +358,7 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
 
 
 def _write_first_images(file: Group, pairs: Sequence[StereoResult]) -> None:
-    """Write the first left image of each pair as a page shows it, for exports of fields."""
+    """Write the first left image of each pair, for exports of fields."""
     for pair in pairs:
         group = file.get(f"stereo/{pair.name}")
         if group is not None and pair.reference_image is not None:

@@ -33,7 +33,7 @@ from fusion.report.field_data import (
     read_pair_fields,
 )
 from fusion.report.field_export import export_fields
-from fusion.report.field_images import MOST_POINTS, field_page, overlay, scale_ends, thinned, value_scale
+from fusion.report.field_images import MOST_POINTS, decimate_points, field_page, overlay, scale_ends, value_scale
 from fusion.report.motion_figures import tracked_surface
 from fusion.report.recording_report import render_report, write_h5
 from fusion.report.report_notices import FIELD_FOLDER_EXISTS, NO_FIELDS, NO_RESULTS
@@ -200,7 +200,7 @@ def test_a_range_narrower_than_u_is_widened():
 
 def test_a_page_thins_many_points():
     grid = np.stack(np.meshgrid(np.arange(60), np.arange(50)), axis=-1).reshape(-1, 2) * 17.0
-    kept = thinned(grid, 17.0)
+    kept = decimate_points(grid, 17.0)
     assert 100 < kept.sum() <= MOST_POINTS
     assert np.diff(np.unique(grid[kept][:, 0])).max() == 34.0
 

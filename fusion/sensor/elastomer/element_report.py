@@ -284,7 +284,7 @@ def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[Pr
 
 
 def element_scene(name: str, shapes: Sequence[DrawnShape]) -> Scene:
-    """Return the modes of an element as motions of its faces in space; their largest displacement is 1 µm."""
+    """Return the modes of an element as motions of its faces in space."""
     corners = np.concatenate([shapes[0].rest_m, *(shape.motion for shape in shapes)], axis=2)
     corners = corners.reshape(-1, corners.shape[2])
     _, first, which = np.unique(np.round(corners, 9), axis=0, return_index=True, return_inverse=True)
