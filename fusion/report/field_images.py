@@ -24,8 +24,8 @@ from shakercal._common.arrays import BoolArray, FloatArray
 
 MOST_POINTS = 900
 """Largest number of points of a pair on a page; exports have all of them."""
-MOST_LINES = 4
-"""Largest number of lines on a page; exports have all of them."""
+MOST_LINES, MOST_VALUES = 4, 3000
+"""Largest number of lines on a page, and of points of all pairs at all of them; exports have all of them."""
 OPACITY = 0.8
 """Of the colours over an image."""
 OUTSIDE = -1e-9  # smallest barycentric coordinate inside a triangle
@@ -86,7 +86,9 @@ def field_page(pairs: Sequence[PairField], results: Sequence[StereoResult], show
     if not pairs:
         return None
     strongest = np.argsort(-np.linalg.norm(np.nan_to_num(pairs[0].rigid[:, :3]), axis=1), kind="stable")
-    lines = sorted(pairs[0].frequency_hz[strongest[:MOST_LINES]].tolist())
+    points = sum(min(len(pair.points_px), MOST_POINTS) for pair in pairs)
+    count = int(np.clip(MOST_VALUES // points, 1, MOST_LINES))  # about 250 bytes for each point at each line
+    lines = sorted(pairs[0].frequency_hz[strongest[:count]].tolist())
     lines.sort(key=lambda hertz: hertz != pairs[0].frequency_hz[strongest[0]])
     figures, names = list[FieldFigure](), dict[str, str]()
     for pair in pairs:
