@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -72,8 +73,9 @@ def _earlier(folder: Path) -> list[str]:
     if not marker.is_file():
         return []
     lines = marker.read_text(encoding="utf-8", errors="replace").splitlines()
-    starts = tuple(line.removeprefix("pair ").partition(":")[0] + "-" for line in lines if line.startswith("pair "))
-    return sorted(path.name for path in folder.iterdir() if starts and path.name.startswith(starts))
+    starts = [re.escape(line.removeprefix("pair ").partition(":")[0]) for line in lines if line.startswith("pair ")]
+    ours = re.compile(rf"({'|'.join(starts)})-(lines\.pvd|[\d.]+Hz(-[a-z-]+)?\.(png|webp|mp4|vtp))")
+    return sorted(path.name for path in folder.iterdir() if starts and ours.fullmatch(path.name))
 
 
 def _contents(found: Sequence[tuple[str, PairField]]) -> str:

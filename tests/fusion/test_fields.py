@@ -329,8 +329,10 @@ def test_images_show_the_field_and_move(exported):
 def test_an_export_replaces_only_its_files_and_only_by_force(results, exported, tmp_path, capsys):
     assert main(["export", str(results), "--fields", str(exported)]) == 2
     assert FIELD_FOLDER_EXISTS.code in capsys.readouterr().err
-    (exported / "mine.txt").write_text("mine", encoding="utf-8")
-    names = {path.name for path in exported.iterdir()}
+    for name in ("mine.txt", "top-notes.png"):
+        (exported / name).write_text("mine", encoding="utf-8")
+    (exported / "top-79.0000Hz-d-z.png").write_text("of an earlier export", encoding="utf-8")
+    names = {path.name for path in exported.iterdir()} - {"top-79.0000Hz-d-z.png"}
     assert main(["export", str(results), "--fields", str(exported), "--force"]) == 0
     assert {path.name for path in exported.iterdir()} == names
     assert main(["export", str(tmp_path), "--fields", str(tmp_path / "new")]) == 2
