@@ -463,15 +463,29 @@ def transfer(options: argparse.Namespace) -> None:
 def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help="file to write")
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write")
+    text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
+    target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
     parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
     parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
-    parser.switch("--force", "overwrite a file that is there")
+    parser.switch("--force", "overwrite files that are there")
 
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file (UFF), or inputs as CSV."""
+    """Export results or channels as a universal file, inputs as CSV, or fields as images and VTK.
+
+    Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
+    """
+    if options.fields is not None:
+        if options.inputs:
+            raise InputError(CONFLICTING_OPTIONS, "--inputs", found="--fields", expected="--output with it")
+        from fusion.report.field_export import export_fields
+
+        written = export_fields(options.results, options.fields, force=options.force)
+        print(f"fields written: {options.fields} ({len(written)} files)")
+        return
     if options.inputs:
         from fusion.report.traceability import export_inputs
 
