@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fusion.base import PROGRAM, __version__, natural_key
-from fusion.planning.draft.inventory import FoundCameras, FoundChannel, FoundDaq, FoundPoints, TriggerPulses
+from fusion.planning.draft.camera_pairs import FoundCameras
+from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPoints, TriggerPulses
 from fusion.recording.dsi import NONE
 from fusion.recording.toml import UNFILLED
 from fusion.recording.transducer import TRANSDUCERS

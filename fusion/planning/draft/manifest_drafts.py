@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.planning.draft.camera_pairs import FoundCameras
 from fusion.planning.draft.channel_guess import (
     HEAD,
     TRIGGER_WORDS,
@@ -24,7 +25,6 @@ from fusion.planning.draft.channel_guess import (
     sort_body_views,
 )
 from fusion.planning.draft.inventory import (
-    FoundCameras,
     FoundChannel,
     FoundPoints,
     Inventory,
@@ -413,7 +413,8 @@ def _frames(inventory: Inventory, found: Sequence[RecorderFile], pair_names: Seq
             yield question_line("stereo", f"which one of rig.toml: {', '.join(pair_names)}")
         if isinstance(item, FoundCameras):
             for key, camera in zip(("left", "right"), item.cameras, strict=False):
-                yield key_line(key, camera.pattern, camera.problem or (camera.summary if key == "left" else ""))
+                shown = "; ".join(filter(None, (camera.summary, item.why))) if key == "left" else ""
+                yield key_line(key, camera.pattern, camera.problem or shown)
             yield from _tied(item.left.frames, edges)
             continue
         yield key_line("files", item.path.name)
