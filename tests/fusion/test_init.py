@@ -420,11 +420,16 @@ def test_files_that_cannot_be_read_are_left_out_by_name(tmp_path, content):
     _one_laser(tmp_path)
     (tmp_path / "Mx-0050" / "broken.h5").write_bytes(content)
     (tmp_path / "Mx-0050" / 'a "quoted" # name.csv').write_text("a;b\n1;2\n")
-    text = draft(tmp_path).files[tmp_path / "Mx-0050" / "recording.toml"]
+    (tmp_path / "Mx-0050" / "scan.svd").write_bytes(b"\0")
+    drafted = draft(tmp_path)
+    text = drafted.files[tmp_path / "Mx-0050" / "recording.toml"]
+    assert [line.startswith("cannot be read: Mx-0050/") for line in drafted.found] == [True] * 3 + [False]
+    assert "1 recorder file with 3 channels" in drafted.found[-1]
     tomllib.loads(text)
-    left = text[text.index("# Left out:") :]
+    left = text[text.index("# Cannot be read:") : text.index("format = 1")]
     assert "# broken.h5: " in left
     assert '# a "quoted" # name.csv: ' in left
+    assert "# scan.svd: " in left
 
 
 def test_mistakes_of_both_files_are_told_at_once(tmp_path, demo_recording, capsys):

@@ -1,4 +1,4 @@
-"""Stereo pairs among the cameras of a recording, and which camera of a pair is the left one."""
+"""Stereo pairs among the cameras of a recording, and their left cameras."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def pair_cameras(
 
 
 def _even(rest: Sequence[FoundCamera], one: FoundCamera) -> bool:
-    """Return whether the cameras with as many frames of this size are as many as pairs need."""
+    """Return whether the cameras with as many frames of this size are pairs."""
     same = [c for c in rest if (c.frames, c.size_px) == (one.frames, one.size_px) and not c.problem]
     return len(same) % 2 == 0
 
@@ -132,13 +132,13 @@ def _apart(one: str, other: str) -> tuple[str, str]:
 
 
 def _matched(one: FoundCamera, other: FoundCamera) -> _Match | None:
-    """Return how well two cameras match by their names, None if they cannot be a pair."""
+    """Return how well two cameras match by their names, or None."""
     words = _words(one.pattern), _words(other.pattern)
     bodies = [{i for i, body in enumerate(BODIES) if body & set(of)} for of in words]
     if bodies[0] != bodies[1]:
         return None
-    alike = one.frames == other.frames and one.size_px == other.size_px
-    guessable = alike and one.frames >= FEWEST_ALONE and not (one.problem or other.problem)
+    same_size = one.frames == other.frames and one.size_px == other.size_px
+    guessable = same_size and one.frames >= FEWEST_ALONE and not (one.problem or other.problem)
     by_size = _Match(BY_SIZE, 0, one, other) if guessable else None
     if len(words[0]) != len(words[1]):
         return by_size
@@ -164,17 +164,20 @@ def _common_name(cameras: Sequence[FoundCamera], default: str) -> str:
     """Return the words that all names share, without common ones and frame numbers."""
     sides = {word for pair in (*SIDES, *ORDERED) for word in pair}
     shared = [re.findall(r"[A-Za-z0-9]+", camera.pattern.rpartition(".")[0] or camera.pattern) for camera in cameras]
-    kept = [word for word in dict.fromkeys(shared[0]) if all(word in of for of in shared)]
+    specific = [word for word in dict.fromkeys(shared[0]) if all(word in of for of in shared)]
     if len(cameras) == 1:
-        kept = [word for word in kept if word.lower() not in sides]
-    return "-".join(word for word in kept if word.lower() not in DULL and not word.isdigit())[:40] or default
+        specific = [word for word in specific if word.lower() not in sides]
+    return "-".join(word for word in specific if word.lower() not in DULL and not word.isdigit())[:40] or default
 
 
 # Which camera is the left one.
 
 
 def _left_first(match: _Match, calibrations: Sequence[Path]) -> FoundCameras:
-    """Return a pair with the left camera first, as the calibration, their names or their images show."""
+    """Return a pair with the left camera first.
+
+    The calibration, the names or the images show which one it is.
+    """
     left, right = match.left, match.right
     why = "" if match.rank == BY_SIDE else "guessed: both have as many frames of one size"
     order = (
@@ -194,7 +197,7 @@ def _left_first(match: _Match, calibrations: Sequence[Path]) -> FoundCameras:
 def _exchanged(
     one: FoundCamera, other: FoundCamera, calibrations: Sequence[Path], *, by_images: bool
 ) -> tuple[bool, str]:
-    """Return whether the second of two cameras is the left one, and what shows it, empty if nothing does."""
+    """Return whether the second of two cameras is the left one, and the evidence."""
     try:
         images = [open_sequence(camera.files).read(0) for camera in (one, other)]
     except (OSError, ValueError):
@@ -214,7 +217,7 @@ def _exchanged(
 
 
 def _misfit(calibration: Path, left_px: FloatArray, right_px: FloatArray) -> float:
-    """Return the median residual (px) of matches as points before both cameras of a calibrated pair."""
+    """Return the median residual (px) of matches as points before a calibrated pair."""
     try:
         points = triangulate(read_calibration(calibration), left_px[None], right_px[None])
     except (OSError, ValueError):

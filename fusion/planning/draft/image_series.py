@@ -58,7 +58,7 @@ class FoundCamera:
 
 
 def find_images(folder: Path) -> list[Path]:
-    """Return the images and videos of a recording, of its folders and of those below them, in natural order."""
+    """Return the images and videos of a recording and its folders, in natural order."""
     found: list[Path] = []
     level = [folder]
     for depth in range(DEEPEST + 1):
@@ -72,10 +72,10 @@ def find_images(folder: Path) -> list[Path]:
 
 def find_cameras(folder: Path, images: Sequence[Path]) -> list[FoundCamera]:
     """Return the cameras to which the images of a recording belong."""
-    beside: dict[Path, list[str]] = defaultdict(list)
+    neighbours: dict[Path, list[str]] = defaultdict(list)
     for path in images:
-        beside[path.parent].append(path.name)
-    return [_camera(folder, group, beside[group[0].parent]) for group in _series(images)]
+        neighbours[path.parent].append(path.name)
+    return [_camera(folder, group, neighbours[group[0].parent]) for group in _series(images)]
 
 
 def _series(images: Iterable[Path]) -> list[tuple[Path, ...]]:
@@ -146,7 +146,7 @@ def _is_of_cameras(values: Sequence[str], frame: Sequence[int]) -> bool:
 
 
 def _continues(values: Sequence[str], stamps: Sequence[int]) -> bool:
-    """Return whether the frames of one value follow those of the one before, by their numbers or times."""
+    """Return whether the frames of one value follow those of the one before."""
     order = sorted(range(len(stamps)), key=lambda i: stamps[i])
     steps = [(stamps[b] - stamps[a], int(values[b]) - int(values[a])) for a, b in pairwise(order)]
     changes = [step for step, change in steps if change]
@@ -155,10 +155,10 @@ def _continues(values: Sequence[str], stamps: Sequence[int]) -> bool:
     return ascending and len(changes) < len(set(values)) and max(changes) <= PAUSE * max(within, default=1)
 
 
-def _pattern(folder: Path, group: Sequence[Path], beside: Sequence[str]) -> str:
+def _pattern(folder: Path, group: Sequence[Path], neighbours: Sequence[str]) -> str:
     """Return the pattern of a camera's image names, as a path below the recording.
 
-    `beside`: the names of all images of its folder.
+    `neighbours`: the names of all images of its folder.
     """
     names = {path.name for path in group}
     place = group[0].parent.relative_to(folder)
@@ -169,14 +169,14 @@ def _pattern(folder: Path, group: Sequence[Path], beside: Sequence[str]) -> str:
     literal = [re.sub(r"([*?\[])", r"[\1]", text) for text in parts[0]]
     for wild in ("*", "[0-9]*"):
         pattern = "".join(text if same else wild for text, same in zip(literal, constant, strict=True))
-        if {name for name in beside if fnmatchcase(name, pattern)} == names:
+        if {name for name in neighbours if fnmatchcase(name, pattern)} == names:
             break
     return (Path(*(re.sub(r"([*?\[])", r"[\1]", part) for part in place.parts)) / pattern).as_posix()
 
 
-def _camera(folder: Path, group: tuple[Path, ...], beside: Sequence[str]) -> FoundCamera:
+def _camera(folder: Path, group: tuple[Path, ...], neighbours: Sequence[str]) -> FoundCamera:
     """Examine the images of a camera."""
-    pattern = _pattern(folder, group, beside)
+    pattern = _pattern(folder, group, neighbours)
     try:
         images = open_sequence(group)
         chosen = sorted({round(i * (len(images) - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})

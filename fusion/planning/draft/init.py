@@ -11,8 +11,9 @@ from typing import Any
 from fusion.base import natural_key
 from fusion.errors import InputError
 from fusion.planning.draft.channel_guess import HEAD
+from fusion.planning.draft.excitation_guess import driven_axis
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
-from fusion.planning.draft.manifest_drafts import SurveyedRecording, driven_axis, recording_text, rig_text
+from fusion.planning.draft.manifest_drafts import SurveyedRecording, recording_text, rig_text
 from fusion.planning.planning_notices import (
     FILE_EXISTS,
     MANIFEST_EXISTS,
@@ -105,7 +106,8 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
         for item in surveyed:
             path = Path(os.path.relpath(rig, item.inventory.folder)).as_posix()
             files[item.inventory.folder / RECORDING_NAME] = recording_text(item, path, tuple(pairs))
-    return Draft(files, tuple(map(_summary, surveyed)))
+    unreadable = [f"cannot be read: {item.folder.name}/{text}" for item in found for text in item.unreadable]
+    return Draft(files, (*unreadable, *map(_summary, surveyed)))
 
 
 def example(folder: Path) -> Draft:
@@ -154,16 +156,18 @@ def _recordings(folder: Path) -> list[Path]:
 def _summary(surveyed: SurveyedRecording) -> str:
     """Return the contents of a recording in one line."""
     inventory = surveyed.inventory
-    channels = sum(len(daq.channels) for daq in inventory.daqs)
-    files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
-    texts = [f"{files} with {channels} channels"] if inventory.daqs else []
+    readable = [len(daq.channels) for daq in inventory.daqs if daq.channels]
+    channels = f"{sum(readable)} channel{'s' if sum(readable) > 1 else ''}"
+    files = f"{len(readable)} recorder file{'s' if len(readable) > 1 else ''}"
+    texts = [f"{files} with {channels}"] if readable else []
     for sight in inventory.camera_systems:
         texts.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
     texts += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     texts += [f"points {table.path.name}" for table in inventory.points]
     texts += [f"response {path.name}" for path in inventory.responses]
-    if surveyed.lines_hz:
-        texts.append(f"driven at {', '.join(f'{line:g}' for line in surveyed.lines_hz[:5])} Hz {surveyed.where}")
+    driven = surveyed.lines
+    if driven.lines_hz:
+        texts.append(f"driven at {', '.join(f'{line:g}' for line in driven.lines_hz[:5])} Hz {driven.where}")
     return f"{inventory.folder.name}: {'; '.join(texts)}"
 
 
@@ -180,7 +184,7 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
     if not isinstance(rig, str) or not isinstance(excitation, dict):
         expected = "a recording with its rig and an excitation"
         raise InputError(UNSUITABLE_TEMPLATE, path, found="neither", expected=expected)
-    inventory, lines = surveyed.inventory, list(surveyed.lines_hz)
+    inventory, lines = surveyed.inventory, list(surveyed.lines.lines_hz)
     folder = inventory.folder
 
     def moved(name: Any) -> Any:

@@ -18,18 +18,22 @@ from fusion.planning.draft.camera_pairs import FoundCameras, pair_cameras
 from fusion.planning.draft.image_series import FoundCamera, find_cameras, find_images
 from fusion.recording.manifest import SCAN
 from photogram.images.image_files import SUFFIXES as IMAGE_SUFFIXES
-from shaker.io import SUFFIXES, read_channels
+from shaker.io import EXPORTS, SUFFIXES, read_channels
 from shaker.io.channel import open_hdf5
-from shaker.io.text import table_units
-from shaker.timebase.edges import find_edges
+from shaker.io.table import is_table, table_units
+from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.trigger import fit_trigger
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from shaker.io.channel import RawChannel
 
+SAME_PULSES = 1e-4  # relative difference of the rates of two channels with the same pulses
+UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their median; correlation with their order
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 TABLE_KEYS = {"frequency_hz"}
 HDF5 = (".h5", ".hdf5")
+TEXTS = (".txt", ".dat")  # of recorders or of people
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
 """Attributes that may list the names of a table's columns."""
 MOST_LABELS = 10_000  # texts in a list of column names
@@ -37,11 +41,18 @@ MOST_LABELS = 10_000  # texts in a list of column names
 
 @dataclass(frozen=True)
 class TriggerPulses:
-    """Pulses of a channel with two levels: number, rate, and width (s; 0 if unknown)."""
+    """Pulses of a channel with two levels: number, rate, width and first edge in s."""
 
     edges: int
     rate_hz: float
     width_s: float
+    first_s: float = 0.0
+
+    def same_as(self, other: TriggerPulses) -> bool:
+        """Return whether two channels of one recorder have the same pulses."""
+        shift_s = abs(self.first_s - other.first_s)
+        same_rate = abs(self.rate_hz / other.rate_hz - 1.0) < SAME_PULSES
+        return self.edges == other.edges and same_rate and shift_s * self.rate_hz < 0.5
 
 
 @dataclass(frozen=True)
@@ -118,6 +129,11 @@ class Inventory:
     others: tuple[Path, ...]
 
     @property
+    def unreadable(self) -> list[str]:
+        """Files of recorders that cannot be read, each with the reason."""
+        return [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in self.daqs if not daq.channels]
+
+    @property
     def empty(self) -> bool:
         """Whether it has no recorded data."""
         return not (self.daqs or self.camera_systems or self.cameras or self.points)
@@ -130,16 +146,17 @@ def survey_folder(folder: Path) -> Inventory:
     responses = tuple(path for path, columns in tables.items() if set(columns) >= TABLE_KEYS)
     points = tuple(_points(path, columns) for path, columns in tables.items() if {"x", "y", "z"} <= set(columns))
     taken = {*responses, *(item.path for item in points)}
-    recorders = [path for path in files if path.suffix.lower() in SUFFIXES and path not in taken]
+    recorders = [path for path in files if _is_recorder_file(path) and path not in taken]
     images = find_images(folder)
     calibrations = find_calibrations(calibration_folders(folder))
     cameras = find_cameras(folder, images)
     sizes = {camera.size_px for camera in cameras}
     sights, single = pair_cameras(cameras, [path for path, size in calibrations.items() if size in sizes])
-    classified = {*taken, *recorders, *images}
+    unsupported = [path for path in files if path.suffix.lower() in EXPORTS]
+    classified = {*taken, *recorders, *images, *unsupported}
     return Inventory(
         folder,
-        tuple(map(_daq, recorders)),
+        tuple(map(_daq, [*recorders, *unsupported])),
         sights,
         single,
         points,
@@ -150,8 +167,14 @@ def survey_folder(folder: Path) -> Inventory:
 
 def is_recording_folder(folder: Path) -> bool:
     """Return whether a folder contains a recorder's file or images."""
-    found = [path.suffix.lower() for path in folder.iterdir() if path.is_file()]
-    return any(suffix in SUFFIXES or suffix in IMAGE_SUFFIXES for suffix in found)
+    files = [path for path in folder.iterdir() if path.is_file()]
+    return any(path.suffix.lower() in IMAGE_SUFFIXES or _is_recorder_file(path) for path in files)
+
+
+def _is_recorder_file(path: Path) -> bool:
+    """Return whether a file is a recorder's, by its suffix or its table."""
+    suffix = path.suffix.lower()
+    return suffix in SUFFIXES and (suffix not in TEXTS or is_table(path))
 
 
 # Recorders.
@@ -182,6 +205,9 @@ def _daq(path: Path) -> FoundDaq:
 
     Of a scan the channels of the first point are examined.
     """
+    maker, _, export = EXPORTS.get(path.suffix.lower(), "").partition(": ")
+    if maker:
+        return FoundDaq(path, (), {}, f"{maker}; {export}")
     try:
         raw = read_channels(path)
     except (OSError, ValueError) as error:
@@ -261,10 +287,24 @@ def _pulses(raw: RawChannel) -> TriggerPulses | None:
         fit = fit_trigger(edges)
     except ValueError:
         return None
-    if fit.edges < 3 or fit.spurious > fit.edges / 10:
+    if fit.edges < 3 or fit.spurious > fit.edges / 10 or not _equal_pulses(samples, edges):
         return None
     up = float(np.mean(samples >= middle))
-    return TriggerPulses(fit.edges, 1.0 / fit.period_s, up * len(samples) / raw.sample_rate_hz / fit.edges)
+    width_s = up * len(samples) / raw.sample_rate_hz / fit.edges
+    return TriggerPulses(fit.edges, 1.0 / fit.period_s, width_s, float(edges.estimate_s[0]))
+
+
+def _equal_pulses(samples: FloatArray, edges: Edges) -> bool:
+    """Return whether all pulses have one height; those of a ringing signal decay."""
+    first = np.searchsorted(np.arange(len(samples)), edges.upper_s * (len(samples) / edges.record_s) - 0.5)
+    highest = np.maximum.reduceat(samples, first)
+    lowest = np.minimum.reduceat(samples, first)[:-1]
+    for peaks in (highest - edges.threshold, edges.threshold - lowest):
+        spread = float(np.ptp(peaks)) / float(np.median(peaks))
+        trend = abs(float(np.corrcoef(np.arange(len(peaks)), peaks)[0, 1])) if spread > 0.0 and len(peaks) > 2 else 0.0
+        if spread > UNEQUAL and (trend > DECAYING or spread > VERY_UNEQUAL):
+            return False
+    return True
 
 
 # Calibrations.

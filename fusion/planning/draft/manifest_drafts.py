@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import os
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from fusion.planning.draft.camera_pairs import FoundCameras
 from fusion.planning.draft.channel_guess import (
     HEAD,
-    TRIGGER_WORDS,
     ChannelGuess,
     RecorderFile,
     body_line,
     guess_recorders,
-    has_word,
     key_line,
     optional_line,
     question_line,
     sort_body_views,
 )
+from fusion.planning.draft.excitation_guess import DrivenLines, driven_lines, excitation_lines, guess_bodies
 from fusion.planning.draft.inventory import (
-    FoundChannel,
     FoundPoints,
     Inventory,
     find_calibrations,
@@ -36,9 +32,6 @@ from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED, quote_key
 from fusion.recording.transducer import TRANSDUCERS
 from photogram.calibration.calibration_file import is_single
-from shaker.labels import LOAD_COMPONENTS
-from shaker.lines.detection import survey_lines
-from shakercal._common.arrays import FloatArray
 
 # The rig.
 
@@ -112,7 +105,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
 
 def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     """Yield the block of the sensor."""
-    named = [next((name for name in LOAD_COMPONENTS if has_word(name.lower(), o.found.title)), "") for o in outputs]
+    named = [output.component for output in outputs]
     units = {o.found.unit.strip().lower() for o in outputs}
     yield "\n[sensor]"
     yield key_line("name", "sensor under test", "its name in a certificate")
@@ -196,29 +189,24 @@ def _sight(
         yield optional_line("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")
 
 
-LOOKED_AT = 1 << 17  # samples in which the excitation is searched for
-FEWEST = 64  # least number of samples for a search of lines
-FAINT = 1e-3  # least amplitude of a line over the largest channel of its unit: less is hum or cross-talk
-STRONG, MOST_DRIVEN = 0.1, 30  # least amplitude over the strongest line; largest number of lines of a multisine
 FARTHEST_M = 5.0  # of a point of a body: larger coordinates are in mm
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
 
 
 @dataclass(frozen=True)
 class SurveyedRecording:
-    """Contents of a folder, guessed channels, and the driven lines in Hz with their file."""
+    """Contents of a folder, guessed channels, and the driven lines."""
 
     inventory: Inventory
     recorders: tuple[RecorderFile, ...]
-    lines_hz: tuple[float, ...]
-    where: str
+    lines: DrivenLines
 
     @staticmethod
     def of(inventory: Inventory) -> SurveyedRecording:
         """Return the channels and lines of a folder."""
         found = tuple(guess_recorders(inventory.daqs))
-        lines_hz, where = driven_lines(found)
-        return SurveyedRecording(inventory, found, tuple(lines_hz), where)
+        lines = driven_lines(found)
+        return SurveyedRecording(inventory, tuple(guess_bodies(found, lines)), lines)
 
 
 def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[str] = ()) -> str:
@@ -228,98 +216,20 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     """
     inventory, found = surveyed.inventory, surveyed.recorders
     folder = inventory.folder.resolve()
-    lines = [HEAD, "format = 1", key_line("name", folder.name), key_line("rig", rig)]
+    lines = [HEAD]
+    if inventory.unreadable:
+        lines += ["# Cannot be read:", *(f"# {' '.join(text.split())}" for text in inventory.unreadable), ""]
+    lines += ["format = 1", key_line("name", folder.name), key_line("rig", rig)]
     lines += ["# date = 2026-01-31  # of the recording", optional_line("operator", "", "who recorded it")]
     lines += [optional_line("mounting", "1", "recordings with another text have another mounting")]
-    lines += _excitation(folder.name, list(surveyed.lines_hz), surveyed.where)
+    lines += excitation_lines(folder.name, found, surveyed.lines)
     for recorder in found:
         lines += _daq_block(recorder, inventory.responses)
     lines += _frames(inventory, found, pair_names)
-    left = [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in inventory.daqs if not daq.channels]
-    left += [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
+    left = [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
     if left:
         lines += ["\n# Left out:", *(f"# {' '.join(text.split())}" for text in left)]
     return "\n".join(lines) + "\n"
-
-
-# Excitation.
-
-
-def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
-    """Return the driven lines in Hz, and their source.
-
-    They are from the first file with a line.
-    """
-    for recorder in found:
-        usable = [
-            i for i in recorder.channels if i.quantity != "trigger" and not has_word(TRIGGER_WORDS, i.found.title)
-        ]
-        usable = [i for i in usable if i.quantity != UNFILLED] or usable  # channels with a known quantity
-        chosen = [i.found for i in usable if i.found.samples >= FEWEST]
-        chosen = [c for c in chosen if (c.rate_hz, c.samples) == (chosen[0].rate_hz, chosen[0].samples)]
-        chosen = [c for c in chosen if np.isfinite(recorder.daq.raw[c.name].samples[:LOOKED_AT]).all()]
-        values = [recorder.daq.raw[channel.name].samples[:LOOKED_AT] for channel in chosen]
-        values = [samples - samples.mean() for samples in values]
-        if not values:
-            continue
-        survey = survey_lines(np.stack(values, axis=1), chosen[0].rate_hz)
-        amplitude = np.nan_to_num(survey.amplitude)
-        amplitude = np.where(amplitude >= FAINT * np.array(_largest_of_unit(chosen, values)), amplitude, 0.0)
-        # The strength of a line is its largest amplitude, each channel relative to its strongest line.
-        strength = (amplitude / np.maximum(amplitude.max(axis=0, initial=0.0), 1e-300)).max(axis=1, initial=0.0)
-        lines = [
-            _nominal(frequency, u)
-            for frequency, u, origin, share in zip(
-                survey.frequency_hz.tolist(), survey.u_frequency_hz.tolist(), survey.origin, strength, strict=True
-            )
-            if origin.kind == "fundamental" and share >= STRONG
-        ]
-        if lines:
-            return lines, f"in {recorder.daq.path.name}"
-    return [], ""
-
-
-def _largest_of_unit(chosen: Sequence[FoundChannel], values: Sequence[FloatArray]) -> list[float]:
-    """Return for each channel the largest standard deviation among channels of its unit."""
-    sizes = [float(samples.std()) for samples in values]
-    return [max(s for s, c in zip(sizes, chosen, strict=True) if c.unit == one.unit) for one in chosen]
-
-
-def _nominal(frequency_hz: float, u_hz: float) -> float:
-    """Return the frequency with fewest digits within the uncertainty of the record."""
-    within = max(3 * u_hz, 1e-4 * frequency_hz)
-    rounded = (round(frequency_hz, digits) for digits in range(6))
-    return next((value for value in rounded if abs(value - frequency_hz) <= within), frequency_hz)
-
-
-def driven_axis(name: str) -> list[float] | None:
-    """Return the direction in a folder's name, such as Fz-0080.
-
-    It has 3 numbers, or 6 of a moment.
-    """
-    axis = re.search(r"(?<![A-Za-z])([FM][xyz])(?![A-Za-z])", name)
-    six = [float(axis is not None and axis[1] == component) for component in LOAD_COMPONENTS]
-    return None if axis is None else six[:3] if axis[1][0] == "F" else six
-
-
-def _excitation(name: str, lines: list[float], where: str) -> Iterator[str]:
-    """Yield the block of the excitation."""
-    few = 0 < len(lines) <= MOST_DRIVEN
-    yield "\n[excitation]"
-    if few:
-        reason = "one line and its harmonics" if len(lines) == 1 else f"{len(lines)} lines above the noise"
-        yield key_line("kind", "sine" if len(lines) == 1 else "multisine", f"guessed: {reason} {where}")
-    else:
-        reason = f"{len(lines)} lines above the noise {where}" if lines else "no line above the noise"
-        yield question_line("kind", f"one of sine, multisine, chirp, noise, impact, step, rotation; {reason}")
-    axis = driven_axis(name)
-    if axis is None:
-        yield question_line("direction", "the driven axis, 3 numbers such as [0, 0, 1], or 6 where a moment is driven")
-    else:
-        yield key_line("direction", axis, "guessed: the name of the folder")
-    if few:
-        yield key_line("frequencies", lines, "Hz, nominal")
-        yield optional_line("harmonics", "auto", '"auto", those above the noise, or a list of multiples')
 
 
 # The blocks of a recording.
@@ -332,6 +242,8 @@ def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[st
     yield key_line("name", path.stem)
     yield key_line("file", path.name)
     yield optional_line("clock_uncertainty", 1e-6, "relative, of its sample rate")
+    for name, trigger in recorder.copies:
+        yield f"# {json.dumps(name, ensure_ascii=False)} has the same pulses as {trigger}"
     own_responses = [table for table in responses if table.stem.lower().startswith(path.stem.lower())]
     seen: set[str] = set()
     for item in recorder.channels:
@@ -356,14 +268,14 @@ def _channel_block(item: ChannelGuess, *, scan: bool) -> Iterator[str]:
     if item.quantity == "trigger":
         return
     if item.quantity == "output":
-        component = next((name for name in LOAD_COMPONENTS if has_word(name.lower(), found.title)), None)
-        if component is None:
+        if not item.component:
             yield question_line("channel", "which of the sensor's outputs, as [sensor] channels of rig.toml names them")
         else:
-            yield key_line("channel", component, "guessed: its name")
+            why = "its name" if item.component in found.title else "its name or the order of the channels"
+            yield key_line("channel", item.component, f"guessed: {why}")
     motion = item.quantity in TRANSDUCERS
     if motion:
-        yield body_line(found.title)
+        yield body_line(found.title, item.base_why)
         if not TRANSDUCERS[item.quantity].rotational:
             yield question_line("point", "where it measures in the sensor frame, in m, such as [0.03, 0, 0.04]")
         if not scan:
