@@ -20,7 +20,10 @@ from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.certified import CertifiedInputs, resolve_certificates
 from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
+from fusion.recording.instruments import complete_channels, without_defaults
 from fusion.recording.manifest import (
+    QUANTITIES,
+    ChannelEntry,
     Daq,
     Images,
     PointFiles,
@@ -334,6 +337,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
             raise InputError(PATH_NOT_ALLOWED, path, "rig", found=f'"{text["rig"]}"', expected=expected)
         at_first[rig_path.resolve()] = FileIdentity.of(rig_path)
         rig_text = read_toml(rig_path)
+        keys_by_quantity = {quantity: ChannelEntry.keys_of(quantity) for quantity in QUANTITIES}
+        text, libraries = complete_channels(text, path, rig_path, keys_by_quantity)
     except InputError as error:
         raise InputError.together([error, *_without_rig(path, text)]) from error
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
@@ -348,7 +353,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in overridden)
     )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
-    files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
+    files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates, *libraries)))
     check_names(files)
     seen = {file: FileIdentity.of(file) for file in files} | certificates | at_first
     return Manifest(
@@ -371,7 +376,11 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         operator=record.operator,
         procedure=record.procedure,
         acknowledged=(*rig.acknowledged, *record.acknowledged),
-        inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
+        inputs=(
+            *of_rig,
+            *uncertain_inputs(without_defaults(text), path),
+            *(item for found in of_certificates for item in found.curves),
+        ),
         signature_notices=tuple(
             dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)
         ),

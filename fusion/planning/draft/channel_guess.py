@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from fusion.base import PROGRAM, __version__, natural_key
 from fusion.planning.draft.camera_pairs import FoundCameras
 from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPoints, TriggerPulses
 from fusion.recording.dsi import NONE
+from fusion.recording.instruments import Library
 from fusion.recording.toml import UNFILLED
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import QUANTITY_OF, recorded_unit
@@ -57,7 +58,7 @@ class ChannelGuess:
     """Guessed quantity and scale of a file's channel.
 
     `scale`: None if unknown; `name`: that in the recording; `base_why`: the reason if it is on the base;
-    `component`: of a sensor's output, empty if unknown.
+    `component`: of a sensor's output, empty if unknown; `instrument`: of the library, which has the keys `provided`.
     """
 
     found: FoundChannel
@@ -68,12 +69,15 @@ class ChannelGuess:
     name: str = ""
     base_why: str = ""
     component: str = ""
+    instrument: str = ""
+    provided: tuple[str, ...] = ()
 
     @property
     def order(self) -> tuple[int, tuple[object, ...]]:
         """Position in its block: motion first, triggers last, otherwise by name."""
         kinds = [*TRANSDUCERS, "force", "output", "voltage", UNFILLED, "trigger"]
-        return kinds.index(self.quantity), natural_key(self.name)
+        kind = kinds.index(self.quantity) if self.quantity in kinds else len(kinds)
+        return kind, natural_key(self.name)
 
 
 NAMES = (
@@ -161,7 +165,9 @@ def guess_channel(channel: FoundChannel) -> ChannelGuess:
         why = f"the file says {channel.unit}"
         return ChannelGuess(channel, "output", "guessed: its name", scaled, why, component=component_of(channel.title))
     if by_unit is not None and unit is not None:
-        return ChannelGuess(channel, by_unit, f"the file says {channel.unit}", unit.factor, f"from {channel.unit}")
+        component = component_of(channel.title) if by_unit == "output" else ""
+        why, scale_why = f"the file says {channel.unit}", f"from {channel.unit}"
+        return ChannelGuess(channel, by_unit, why, unit.factor, scale_why, component=component)
     if by_name is not None:
         volts = by_name == "voltage" and (unit == volt or not channel.unit.strip())
         return ChannelGuess(channel, by_name, "guessed: its name", 1.0 if volts else None, "V")
@@ -247,6 +253,44 @@ def _without_copies(recorder: RecorderFile) -> RecorderFile:
             first.append((item, pulses))
     channels = tuple(item for item in recorder.channels if item.found.name not in copies)
     return replace(recorder, channels=channels, copies=tuple(copies.items()))
+
+
+def with_quantities(recorders: Iterable[RecorderFile], stated: Mapping[str, str]) -> Iterator[RecorderFile]:
+    """Yield recorders with stated quantities, by the paths of their keys."""
+    for recorder in recorders:
+        channels = []
+        for item in recorder.channels:
+            quantity = stated.get(f"daq.{recorder.daq.path.stem}.channel.{item.name}.quantity", item.quantity)
+            scale = item.scale if quantity == item.quantity else None
+            why = item.why if quantity == item.quantity else "stated"
+            channels.append(replace(item, quantity=quantity, scale=scale, why=why))
+        yield replace(recorder, channels=tuple(channels))
+
+
+def assign_instruments(recorders: Iterable[RecorderFile], library: Library | None) -> Iterator[RecorderFile]:
+    """Yield recorders whose channels have the instruments of the library that their names indicate."""
+    for recorder in recorders:
+        channels = (_with_instrument(item, library) for item in recorder.channels)
+        yield replace(recorder, channels=tuple(sorted(channels, key=lambda item: item.order)))
+
+
+def _with_instrument(item: ChannelGuess, library: Library | None) -> ChannelGuess:
+    """Return a channel with its instrument, if its name indicates exactly one."""
+    if library is None or item.quantity == "trigger":
+        return item
+    fitting = [
+        name
+        for name, instrument in library.instruments.items()
+        if instrument.quantity in (None, item.quantity) or item.quantity == UNFILLED
+        if any(has_word(re.escape(word.lower()), item.found.title) for word in (name, *instrument.names))
+    ]
+    if len(fitting) != 1:
+        return item
+    quantity = item.quantity if item.quantity != UNFILLED else library.instruments[fitting[0]].quantity or UNFILLED
+    # The scale of an instrument counts per volt: values in another unit have theirs.
+    in_volts = recorded_unit(item.found.unit) == recorded_unit("V") or not item.found.unit.strip()
+    provided = tuple(key for key in library.values[fitting[0]] if key != "scale" or in_volts)
+    return replace(item, instrument=fitting[0], provided=provided, quantity=quantity)
 
 
 def _same_rate(rates: Sequence[float], rate_hz: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,14 @@ from fusion.planning.draft.channel_guess import (
     HEAD,
     ChannelGuess,
     RecorderFile,
+    assign_instruments,
     body_line,
     guess_recorders,
     key_line,
     optional_line,
     question_line,
     sort_body_views,
+    with_quantities,
 )
 from fusion.planning.draft.excitation_guess import DrivenLines, driven_lines, excitation_lines, guess_bodies
 from fusion.planning.draft.inventory import (
@@ -27,6 +29,7 @@ from fusion.planning.draft.inventory import (
     find_calibrations,
     states_scale,
 )
+from fusion.recording.instruments import LIBRARY_NAME, find_library
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED, quote_key
@@ -202,9 +205,14 @@ class SurveyedRecording:
     lines: DrivenLines
 
     @staticmethod
-    def of(inventory: Inventory) -> SurveyedRecording:
-        """Return the channels and lines of a folder."""
-        found = tuple(guess_recorders(inventory.daqs))
+    def of(inventory: Inventory, quantities: Mapping[str, str] | None = None) -> SurveyedRecording:
+        """Return the channels and lines of a folder.
+
+        `quantities`: stated ones, by the paths of their keys in recording.toml.
+        """
+        library = find_library(inventory.folder / "rig.toml")
+        guessed = with_quantities(guess_recorders(inventory.daqs), quantities or {})
+        found = tuple(assign_instruments(guessed, library))
         lines = driven_lines(found)
         return SurveyedRecording(inventory, tuple(guess_bodies(found, lines)), lines)
 
@@ -246,24 +254,55 @@ def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[st
         yield f"# {json.dumps(name, ensure_ascii=False)} has the same pulses as {trigger}"
     own_responses = [table for table in responses if table.stem.lower().startswith(path.stem.lower())]
     seen: set[str] = set()
+    measuring = [item for item in recorder.channels if item.quantity != "trigger"]
+    shared = _shared_keys(measuring)
+    response = key_line("response", own_responses[0].name, "guessed: named after this file") if own_responses else ""
+    if len(measuring) > 1 and (shared or response):
+        yield "\n[daq.defaults]  # of all channels of this file that do not state them"
+        yield from [question_line(key, why) for key, why in shared.items()]
+        yield from [response] if response else []
+        if len({item.quantity for item in measuring}) == 1 and measuring[0].quantity != UNFILLED:
+            yield from _options(measuring[0], responding=bool(response))
+            seen.add("motion" if measuring[0].quantity in TRANSDUCERS else measuring[0].quantity)
+        response = ""
     for item in recorder.channels:
         yield "\n[[daq.channel]]"
-        yield from _channel_block(item, scan=path.suffix.lower() == SCAN)
-        if own_responses and item.quantity != "trigger":
-            yield key_line("response", own_responses[0].name, "guessed: named after this file")
+        yield from _channel_block(item, shared, scan=path.suffix.lower() == SCAN)
+        if response and item.quantity != "trigger":
+            yield response
         kind = "motion" if item.quantity in TRANSDUCERS else item.quantity
         if kind not in seen:  # only once per kind
             seen.add(kind)
             yield from _options(item, responding=bool(own_responses))
 
 
-def _channel_block(item: ChannelGuess, *, scan: bool) -> Iterator[str]:
-    """Yield the required keys of a channel."""
+def _shared_keys(items: Sequence[ChannelGuess]) -> dict[str, str]:
+    """Return the keys to fill in once for all channels of one quantity and unit."""
+    kinds = {(item.quantity, item.found.unit, item.scale, item.instrument) for item in items}
+    if len(items) < 2 or len(kinds) > 1 or items[0].quantity == UNFILLED:
+        return {}
+    asked = dict(_scale_questions(items[0]))
+    return {key: f"{why}; a channel with another one states it" for key, why in asked.items()}
+
+
+def _scale_questions(item: ChannelGuess) -> Iterator[tuple[str, str]]:
+    """Yield the keys of a channel's scale to fill in, with the expected values."""
+    if item.scale is None and "scale" not in item.provided and item.quantity != UNFILLED:
+        unit = "the sensor's unit" if item.quantity == "output" else _unit(item.quantity)
+        yield "scale", f"its calibration factor, {unit} per {item.found.unit or 'unit of the file'}"
+    if item.quantity in TRANSDUCERS and not {"scale", "scale_uncertainty", "response"} & set(item.provided):
+        yield "scale_uncertainty", "relative standard uncertainty (k = 1) of this factor"
+
+
+def _channel_block(item: ChannelGuess, shared: Mapping[str, str], *, scan: bool) -> Iterator[str]:
+    """Yield the required keys of a channel; `shared`: those that its block has."""
     found = item.found
     size = f"{found.samples} samples at {found.rate_hz:g} Hz, {found.low:.4g} to {found.high:.4g} {found.unit}"
     yield key_line("name", item.name, size.strip())
     if item.name != found.name:
         yield key_line("in_file", found.name)
+    if item.instrument:
+        yield key_line("instrument", item.instrument, f"guessed: its name, of {LIBRARY_NAME}")
     yield key_line("quantity", item.quantity, item.why)
     if item.quantity == "trigger":
         return
@@ -280,13 +319,9 @@ def _channel_block(item: ChannelGuess, *, scan: bool) -> Iterator[str]:
             yield question_line("point", "where it measures in the sensor frame, in m, such as [0.03, 0, 0.04]")
         if not scan:
             yield question_line("direction", "its positive sense in sensor axes, such as [0, 0, 1]")
-    if item.scale is not None:
+    if item.scale is not None and "scale" not in item.provided:
         yield key_line("scale", item.scale, item.scale_why)
-    elif item.quantity != UNFILLED:
-        unit = "the sensor's unit" if item.quantity == "output" else _unit(item.quantity)
-        yield question_line("scale", f"its calibration factor, {unit} per {found.unit or 'unit of the file'}")
-    if motion:
-        yield question_line("scale_uncertainty", "relative standard uncertainty (k = 1) of this factor")
+    yield from [question_line(key, why) for key, why in _scale_questions(item) if key not in shared]
 
 
 def _unit(quantity: str) -> str:
