@@ -22,8 +22,7 @@ from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
 from fusion.recording.instruments import complete_channels, without_defaults
 from fusion.recording.manifest import (
-    QUANTITIES,
-    ChannelEntry,
+    KEYS,
     Daq,
     Images,
     PointFiles,
@@ -337,8 +336,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
             raise InputError(PATH_NOT_ALLOWED, path, "rig", found=f'"{text["rig"]}"', expected=expected)
         at_first[rig_path.resolve()] = FileIdentity.of(rig_path)
         rig_text = read_toml(rig_path)
-        keys_by_quantity = {quantity: ChannelEntry.keys_of(quantity) for quantity in QUANTITIES}
-        text, libraries = complete_channels(text, path, rig_path, keys_by_quantity)
+        text, libraries = complete_channels(text, path, rig_path, KEYS)
     except InputError as error:
         raise InputError.together([error, *_without_rig(path, text)]) from error
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
@@ -376,16 +374,17 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         operator=record.operator,
         procedure=record.procedure,
         acknowledged=(*rig.acknowledged, *record.acknowledged),
-        inputs=(
-            *of_rig,
-            *uncertain_inputs(without_defaults(text), path),
-            *(item for found in of_certificates for item in found.curves),
-        ),
+        inputs=(*of_rig, *_own_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(
             dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)
         ),
         file_identities={file: identity for file, identity in seen.items() if identity is not None},
     )
+
+
+def _own_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
+    """Return the inputs of a recording with an uncertainty, those of defaults by their channels."""
+    return tuple(uncertain_inputs(without_defaults(text), path))
 
 
 def _certificates(

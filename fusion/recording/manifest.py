@@ -70,7 +70,6 @@ SCAN = ".asc"
 """Suffix of a scanning vibrometer's text."""
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
-QUANTITIES = (*TRANSDUCERS, "force", "output", "voltage", "trigger")
 COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
 
 
@@ -301,6 +300,10 @@ class ChannelEntry(ManifestBlock):
         """
         kind = self.delay_of or (None if self.response is None else "pure")
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
+
+
+KEYS = {kind: ChannelEntry.keys_of(kind) for kind in (*TRANSDUCERS, "force", "output", "voltage", "trigger")}
+"""Keys of a channel by its quantity."""
 
 
 def _repeats(value: object, info: ValidationInfo) -> tuple[Path, ...]:

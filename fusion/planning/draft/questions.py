@@ -27,6 +27,7 @@ IMPORTANCE = (
     "centre_of_mass", "inertia", "normal", "stereo",
 )  # fmt: skip
 """Keys in the order in which they are asked for; uncertainties follow."""
+HELP = "An empty line leaves a value open. `2.4 ± 0.001` states the standard uncertainty as well."
 MATRICES = ("rotation", "inertia")  # keys of 3 x 3 numbers
 
 
@@ -235,9 +236,7 @@ def ask(
     shown before the first question.
     """
     given: dict[str, Any] = {}
-    head = "\n".join(
-        [*found, "An empty line leaves a value open. `2.4 ± 0.001` states a standard uncertainty, too.", ""]
-    )
+    head = "\n".join([*found, HELP, ""])
     quantities: dict[Path, dict[str, str]] = {}
     try:
         for only_quantities in (True, False):
@@ -269,4 +268,4 @@ def _certain(key: str) -> str:
 
 def _general(key: str) -> str:
     """Return the path of a key without the name of its recorder's block."""
-    return re.sub(r"^daq\.[^.]+\.(?=channel\.)", "daq.", key)
+    return re.sub(r"^daq\.[^.]+\.(?=channel\.|defaults\.)", "daq.", key)
