@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -112,7 +112,7 @@ def _without_references(value: Any) -> Any:
 
 
 def complete_channels(
-    text: dict[str, Any], path: Path, rig: Path, quantities: dict[str, Collection[str]]
+    text: dict[str, Any], path: Path, rig: Path, quantities: Mapping[str, Collection[str]]
 ) -> tuple[dict[str, Any], tuple[Path, ...]]:
     """Return recording.toml with the values that channels share, and the library if one is used.
 
@@ -183,7 +183,7 @@ def _of_instrument(
     if library is None or not isinstance(name, str) or name not in available:
         found = f"{describe(name)}; {'there is no ' + LIBRARY_NAME if library is None else ', '.join(available)}"
         expected = f"the name of an instrument of {LIBRARY_NAME}, next to rig.toml or in a folder above it"
-        where = next(
+        where: list[int | str] = next(
             (
                 ["daq", i, "channel", j, "instrument"]
                 for i, block in enumerate(text.get("daq", []))
@@ -192,7 +192,7 @@ def _of_instrument(
             ),
             ["take"],
         )
-        raise InputError(UNKNOWN_NAME, path, key_path(text, list(where)), found=found, expected=expected)
+        raise InputError(UNKNOWN_NAME, path, key_path(text, where), found=found, expected=expected)
     values = {k: v for k, v in available[name].items() if k not in Instrument.TEXTS}
     if used[name] > 1:
         values.setdefault("common", name)

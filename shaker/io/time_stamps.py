@@ -78,4 +78,4 @@ def _days(parts: Sequence[str | None]) -> int:
         american = separator == "/" and not named and int(first or 0) <= 12
         day, month = (middle, first) if american else (first, middle)
         year = short if len(short or "") == 4 else f"{19 if int(short or 0) >= 70 else 20}{short}"
-    return date(int(year), int(month or 0), int(day or 0)).toordinal() - date(1970, 1, 1).toordinal()
+    return date(int(year or 0), int(month or 0), int(day or 0)).toordinal() - date(1970, 1, 1).toordinal()

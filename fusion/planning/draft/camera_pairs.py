@@ -199,10 +199,10 @@ def _exchanged(
 ) -> tuple[bool, str]:
     """Return whether the second of two cameras is the left one, and the evidence."""
     try:
-        images = [open_sequence(camera.files).read(0) for camera in (one, other)]
+        first, second = (open_sequence(camera.files).read(0) for camera in (one, other))
     except (OSError, ValueError):
         return False, ""
-    matches = match_features(*images, most=FEATURES)
+    matches = match_features(first, second, most=FEATURES)
     if len(matches[0]) < MATCHES:
         return False, ""
     for path in calibrations:

@@ -17,8 +17,8 @@ from fusion.recording.toml import UNFILLED, read_toml
 _LINE = re.compile(r"(?P<off># )?(?P<key>[A-Za-z_]+) = (?P<value>.*?)(?:  # (?P<why>.*))?")
 _HEADER = re.compile(r"(?P<off># )?(?P<brackets>\[{1,2})(?P<name>[^\[\]]+)\]{1,2}(?:  # .*)?")
 _STATEMENT = re.compile(
-    r"(?P<value>[-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(?:±|\+/?-)\s*(?P<U>[\d.,]+(?:[eE][-+]?\d+)?)\s*(?P<percent>%)?"
-    r"\s*(?:\(?\s*k\s*=\s*(?P<k>[\d.,]+)\s*\)?)?"
+    r"(?P<value>[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*(?:±|\+/?-)\s*(?P<U>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)\s*(?P<percent>%)?"
+    r"\s*(?:\(?\s*k\s*=\s*(?P<k>\d+(?:[.,]\d+)?)\s*\)?)?"
 )
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 IMPORTANCE = (
@@ -208,8 +208,9 @@ def parse_answer(text: str, key: str) -> Any:
         value, expanded = (float(number.replace(",", ".")) for number in stated.group("value", "U"))
         relative = {"U_relative": float(f"{expanded / 100:.12g}")} if stated["percent"] else {"U": expanded}
         return {"value": value, **relative, "k": float((stated["k"] or "1").replace(",", "."))}
+    typed: Any
     try:
-        value = tomllib.loads(f"x = {text}")["x"]
+        typed = tomllib.loads(f"x = {text}")["x"]
     except tomllib.TOMLDecodeError:
         words = re.split(r"[\s;]+", text.strip("[]() "))
         words = [word.strip(",") for word in words]
@@ -217,13 +218,13 @@ def parse_answer(text: str, key: str) -> Any:
         if not all(_NUMBER.fullmatch(word) for word in words):
             return text
         numbers = [float(word) for word in words]
-        value = numbers if len(numbers) > 1 else numbers[0]
-    if key in MATRICES and isinstance(value, list) and not isinstance(value[0], list):
-        if len(value) == 9:
-            return [value[0:3], value[3:6], value[6:9]]
-        if len(value) == 3 and key == "inertia":
-            return [[value[0], 0.0, 0.0], [0.0, value[1], 0.0], [0.0, 0.0, value[2]]]
-    return value
+        typed = numbers if len(numbers) > 1 else numbers[0]
+    if key in MATRICES and isinstance(typed, list) and typed and not isinstance(typed[0], list):
+        if len(typed) == 9:
+            return [typed[0:3], typed[3:6], typed[6:9]]
+        if len(typed) == 3 and key == "inertia":
+            return [[typed[0], 0.0, 0.0], [0.0, typed[1], 0.0], [0.0, 0.0, typed[2]]]
+    return typed
 
 
 def ask(
