@@ -160,6 +160,15 @@ def _slashes(t: Array, c: Array, v: Array) -> str:
     return "t/s;Kamera/V;Laser/m/s\n" + rows(t, c, v, by=";", comma=True)
 
 
+def _percent(t: Array, c: Array, v: Array) -> str:
+    return "% exported\n% Time(s) camera(V) laser(m/s)\n" + rows(t, c, v, by=" ")
+
+
+def _transposed_head(t: Array, c: Array, v: Array) -> str:
+    lines = (f",{x:.6f},{a:.5f},{b:.5f}\n" for x, a, b in zip(t, c, v, strict=True))
+    return "Label,Time,camera,laser\nUnit,s,V,m/s\n" + "".join(lines)
+
+
 LAYOUTS: dict[str, tuple[Writer, str, str]] = {
     # how it is written, encoding, suffix
     "German amplifier": (_german, "latin-1", ".csv"),
@@ -186,6 +195,8 @@ LAYOUTS: dict[str, tuple[Writer, str, str]] = {
     "milliseconds since 1970": (_epoch, "utf-8", ".csv"),
     "rate above the table": (_rate_above, "utf-8", ".csv"),
     "names in a remark": (_numpy, "utf-8", ".dat"),
+    "names after percent": (_percent, "utf-8", ".txt"),
+    "names beside a label": (_transposed_head, "utf-8", ".csv"),
     "units after slashes": (_slashes, "utf-8", ".csv"),
 }
 

@@ -14,7 +14,7 @@ from shaker.io.channel import LONGEST_LINE, is_time, time_unit
 from shaker.io.text import TextLayout, check_line, decode_text, number_of, open_text
 from shaker.io.time_stamps import is_stamp
 
-_COMMENT = "#"
+_COMMENTS = ("#", "%")
 _DELIMITERS = ("\t", ";", ",", "")
 _WINDOW, _LEAST_LINES = 1 << 18, 8  # bytes and lines that are read to find the header
 _LAST_ROWS, _MOST_CELLS = 40, 1 << 17  # rows whose cells are counted, and their cells together
@@ -180,7 +180,7 @@ def _first_lines(path: Path) -> tuple[list[_HeadLine], list[_HeadLine], str]:
             if not lines and _STATED.fullmatch(text):
                 stated = text.strip('"')[4]
             elif text.strip():
-                (remarks if text.startswith(_COMMENT) else lines).append(_HeadLine(start, number, text))
+                (remarks if text.startswith(_COMMENTS) else lines).append(_HeadLine(start, number, text))
     return lines, remarks, stated
 
 

@@ -85,6 +85,13 @@ def test_channels_with_the_same_pulses_are_one_trigger(tmp_path):
     assert '# "ai1" has the same pulses as camera trigger' in text
 
 
+def test_numbers_of_rows_and_empty_columns_are_no_channels(tmp_path):
+    rows = "".join(f"{i + 1};{t:.4f};{np.sin(503 * t):.5f};\n" for i, t in enumerate(TIME[:4000]))
+    (tmp_path / "a.csv").write_text("Nr.;Zeit [s];Laser [m/s];Reserve\n" + rows)
+    (found,) = survey_folder(tmp_path).daqs
+    assert [channel.name for channel in found.channels] == ["Laser [m/s]"]
+
+
 SENSITIVITIES = [
     ("VIB 25 mm/s/V", "velocity", 0.025),
     ("Laser (125 mm/s / V)", "velocity", 0.125),

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SAME_PULSES = 1e-4  # relative difference of the rates of two channels with the same pulses
 UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their median; correlation with their order
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
+LEAST_COUNT = 8  # samples that may be numbers of rows
 TABLE_KEYS = {"frequency_hz"}
 HDF5 = (".h5", ".hdf5")
 TEXTS = (".txt", ".dat")  # of recorders or of people
@@ -215,7 +216,17 @@ def _daq(path: Path) -> FoundDaq:
     if path.suffix.lower() == SCAN:
         raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
     labels = _column_labels(path, raw) if path.suffix.lower() in HDF5 else {}
-    return FoundDaq(path, tuple(_channel(name, channel, labels.get(name, "")) for name, channel in raw.items()), raw)
+    channels = {name: channel for name, channel in raw.items() if not _is_empty_or_count(channel)}
+    made = tuple(_channel(name, channel, labels.get(name, "")) for name, channel in channels.items())
+    return FoundDaq(path, made, channels)
+
+
+def _is_empty_or_count(channel: RawChannel) -> bool:
+    """Return whether a channel has no samples, or numbers them."""
+    samples = channel.samples
+    if not np.isfinite(samples).any():
+        return True
+    return len(samples) > LEAST_COUNT and samples[0] in (0.0, 1.0) and bool(np.all(np.diff(samples) == 1.0))
 
 
 def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:
