@@ -123,7 +123,7 @@ BOKEH_MISSING = DeclaredNotice(
     link="view.md",
 )
 UNUSED_ANSWER = DeclaredNotice(
-    "SC-953",
+    "SC-955",
     "error",
     "expected {expected}, found {found}",
     effect="Nothing is written.",
