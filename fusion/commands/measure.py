@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import sys
 from typing import TYPE_CHECKING
 
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS, Settings, check_new_file
@@ -216,6 +217,8 @@ def _init_options(parser: Parser) -> None:
     text = "copy rig and channels from this recording with similar files"
     how.add_argument("--from", dest="like", type=path, metavar="RECORDING", help=text)
     how.add_argument("--example", action="store_true", help="write a commented example instead, with every block")
+    parser.value("--answers", path, "FILE.toml", "values for the drafts, by the ends of their key paths")
+    parser.switch("--no-questions", "ask nothing on a terminal")
 
 
 @command(_init_options, "recordings/Fz-0080 --from recordings/Fz-0106")
@@ -223,7 +226,18 @@ def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
 
-    made = run_init(options.folder, options.like, with_example=options.example)
+    def reply(question: str) -> str:
+        print_text(question)
+        return input("> ")
+
+    asking = sys.stdin.isatty() and sys.stdout.isatty() and not options.no_questions and options.answers is None
+    made = run_init(
+        options.folder,
+        options.like,
+        with_example=options.example,
+        answers=options.answers,
+        reply=reply if asking else None,
+    )
     for line in made.found:
         print_text(line)
     for file in made.files:
