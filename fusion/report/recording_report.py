@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from html import escape
 from operator import itemgetter
@@ -285,7 +287,7 @@ def write_results(
         if "save_points" in evaluation.settings:
             names += [name for stereo in evaluation.stereo for name in save_points(temporary, stereo)]
         names.append(RESULT_FILE)
-        write_h5(temporary / RESULT_FILE, evaluation, names)
+        write_h5(temporary / RESULT_FILE, evaluation, names, folder)
         return names
 
     inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
@@ -317,16 +319,24 @@ SENSOR = [
 """Information on the tested sensor that a campaign needs."""
 
 
-def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
+RECORDED_AT = ("recording_from_results", "recording_path")
+"""Attributes of a result: path of recording.toml from the folder of the results, and its absolute path."""
+
+
+def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: Path | None = None) -> None:
     """Write the evaluation and its provenance to a new HDF5 file.
 
-    `files`: names of all result files.
+    `files`: names of all result files. `folder`: where they will be.
     """
     manifest = evaluation.manifest
+    recorded = manifest.path.resolve()
 
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["recording"] = manifest.name
+        file.attrs[RECORDED_AT[1]] = str(recorded)
+        with suppress(ValueError):  # of another drive
+            file.attrs[RECORDED_AT[0]] = Path(os.path.relpath(recorded, (folder or path.parent).resolve())).as_posix()
         file.attrs["rig"] = manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)

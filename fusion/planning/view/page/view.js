@@ -35,11 +35,18 @@
     view.told = await view.ask("recording");
     view.get("name").textContent = view.told.name;
     document.title = `${view.told.name}: shakercal view`;
+    const errors = view.told.errors, parts = view.told.pairs.length + view.told.channels.length;
+    view.get("problems").hidden = !errors.length;
+    view.get("problems").open = errors.length > 0 && (errors.length < 3 || !parts);
+    view.get("problems-told").textContent = `${errors.length} problem${errors.length > 1 ? "s" : ""} in this recording: ${parts ? "its readable parts are shown" : "nothing of it can be read"}`;
+    view.notices("problems-listed", errors);
     const names = tabs(recordings);
     for (const part of Object.values(view.parts)) part.opened?.();
     choose(names.includes(view.tab) && view.tab !== "overview" ? view.tab : names[names[0] === "overview" && view.tab ? 1 : 0]);
     document.body.dataset.opened = String(number);
   }
+
+  view.reopen = () => open(view.recording, view.get("recordings").options.length);
 
   async function start() {
     const { recordings } = await view.ask("sources");
