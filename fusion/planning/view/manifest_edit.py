@@ -120,7 +120,7 @@ def _comments(lines: list[str]) -> Iterator[str]:
 
 def _parses(lines: list[str]) -> bool:
     try:
-        tomllib.loads("\n".join(lines))
+        tomllib.loads("\n".join([*lines, ""]))
     except ValueError:
         return False
     return True

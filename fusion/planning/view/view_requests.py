@@ -45,6 +45,7 @@ def api_handlers(viewed: ViewSession) -> ApiHandlers:
     return {
         "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
         "recording": lambda query: description(viewed.renewed(query)),
+        "refusals": lambda query: {"errors": viewed.recording(query).refusals},
         "frame": lambda query: image(
             viewed.recording(query), number(query, "pair"), number(query, "side"), number(query, "frame")
         ),
@@ -144,6 +145,7 @@ def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
             panels.setdefault((f"{found.channel[e]} {found.component[e]}", found.unit[e]), []).append(
                 {
                     "name": name,
+                    "source": source if source in SOURCE_COLOUR else "fused",
                     "re": value.real,
                     "im": value.imag,
                     "axes": list(element.region.half_axes),

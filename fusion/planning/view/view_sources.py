@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,11 +45,10 @@ def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
         expected = f"a recording of the results in {path}"
         raise InputError(RESULTS_WITHOUT_RECORDING, recording, found="other recordings", expected=expected)
     folders = [path] if (path / RESULT_FILE).is_file() else sorted(one.parent for one in path.glob(f"*/{RESULT_FILE}"))
-    sources = [ViewSource(next(_recorded(folder)), folder) for folder in folders]
-    if not any(one.recording.is_file() for one in sources):
-        where = str(sources[0].recording) if sources else "an unknown place"
-        raise InputError(RECORDING_MOVED, path, recording=where)
-    return sources
+    found = [(folder, *_recorded(folder)) for folder in folders]
+    if not any(there for _, _, there in found):
+        raise InputError(RECORDING_MOVED, path, recording=str(found[0][1]) if found else "an unknown place")
+    return [ViewSource(recorded, folder) for folder, recorded, _ in found]
 
 
 def _results_of(recording: Path, results: Path) -> Path | None:
@@ -58,22 +57,22 @@ def _results_of(recording: Path, results: Path) -> Path | None:
     return next((folder for folder in (below, results) if (folder / RESULT_FILE).is_file()), None)
 
 
-def _recorded(results: Path) -> Iterator[Path]:
-    """Yield the recording of results: as they state it, or near them; else where it was."""
+def _recorded(results: Path) -> tuple[Path, bool]:
+    """Return the recording of results as they state it, or near them, and whether it is there."""
     folder = results.resolve()
     name, stated = result_names(folder)
     places = [folder / stated[0], *map(Path, stated[1:])] if stated else []
     near = [folder.parent, folder.parent.parent / folder.name, folder.parent.parent]
     for place in (*places, *(one / "recording.toml" for one in (*near, *(one / folder.name for one in near)))):
         if place.is_file() and _name_of(place) in (name, ""):
-            yield place.resolve()
-    yield places[-1] if places else folder / "recording.toml"
+            return place.resolve(), True
+    return (places[-1] if places else folder / "recording.toml"), False
 
 
 def result_names(results: Path) -> tuple[str, tuple[str, ...]]:
     """Return the name of a result's recording, and its places: from the results, and absolute."""
     try:
-        with open_results(results / RESULT_FILE, "provenance") as file:
+        with open_results(results / RESULT_FILE) as file:
             stated = tuple(str(file.attrs[name]) for name in RECORDED_AT if name in file.attrs)
             return str(file.attrs.get("recording", "")), stated
     except InputError:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.estimation.labelled_phasors import LabelledPhasors
+from fusion.planning.check import read_as_command
 from fusion.planning.look.data_checks import fit_trigger_channel
 from fusion.planning.planning_notices import MANIFEST_NEWER, RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
@@ -19,7 +20,7 @@ from fusion.planning.view.readable import ReadableRecording, StatedChannel, noti
 from fusion.planning.view.subset_views import SubsetViews
 from fusion.planning.view.view_sources import ViewSource, result_names
 from fusion.planning.view.viewed_pair import ViewedPair
-from fusion.recording.daq_records import DaqRecord, check_samples, check_uniform, recorded_channels
+from fusion.recording.daq_records import DaqRecord, FileCache, check_samples, check_uniform, recorded_channels
 from fusion.recording.load import Manifest
 from fusion.recording.recording_notices import UNREADABLE_DAQ_FILE
 from fusion.report.folder import read_provenance
@@ -31,6 +32,8 @@ from shaker.timebase.trigger import TriggerFit
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
+MOST_LISTED = 20  # images of a camera whose errors are listed; each shows its own
+MOST_EXAMINED = 400_000_000  # bytes of a recording that are examined when the page opens; `check` has no limit
 ALONE = (".h5", ".hdf5", ".tdms")  # files of which single channels can be read
 
 
@@ -50,7 +53,8 @@ class ViewedRecording:
         self.pairs = [pair for pair in pairs if pair.cameras]
         for pair in self.pairs:
             for side, camera in pair.cameras.items():
-                self.errors += [pair.notice(error, side) for error in camera.refused.values()]
+                listed = list(camera.refused.values())[:MOST_LISTED]
+                self.errors += [pair.notice(error, side) for error in listed]
         self.channels = self.readable.channels
         self._raw: dict[object, dict[str, RawChannel]] = {}
         self._extremes: dict[int, Extremes] = {}
@@ -63,14 +67,14 @@ class ViewedRecording:
         if self.results is None:
             return
         provenance, (name, _) = read_provenance(self.results, provenance_only=True), result_names(self.results)
+        if name not in ("", self.readable.name):
+            expected = f"those of “{self.readable.name}” ({self.path})"
+            raise InputError(RESULTS_WITHOUT_RECORDING, self.results, found=f"results of “{name}”", expected=expected)
         if provenance is None:
             error = InputError(RESULTS_WITHOUT_RECORDING, self.results, found="damaged results", expected="results")
             self.errors.append(notice_of(error, self.path))
             self.results = None
-        elif name != self.readable.name:
-            expected = f"those of “{self.readable.name}” ({self.path})"
-            raise InputError(RESULTS_WITHOUT_RECORDING, self.results, found=f"results of “{name}”", expected=expected)
-        elif self.version not in provenance.input_hashes.values():
+        elif provenance.input_hashes and self.version not in provenance.input_hashes.values():
             notice = Notice(MANIFEST_NEWER, self.path.name)
             remedy = MANIFEST_NEWER.remedy or ""
             self.errors.append({"code": notice.code, "where": notice.where, "text": notice.text, "remedy": remedy})
@@ -179,6 +183,27 @@ class ViewedRecording:
         except InputError as error:
             return notice_of(error, self.path)
         return None
+
+    @cached_property
+    def refusals(self) -> list[dict[str, str]]:
+        """Why the recording's command refuses its data; data of more than some size are not examined."""
+        manifest, found = self.readable.manifest, list[Exception]()
+        files = set(manifest.files) if manifest is not None else {one.file for one in self.channels if one.file}
+        if sum(file.stat().st_size for file in files if file.is_file()) > MOST_EXAMINED:
+            return []
+        try:
+            if manifest is not None:
+                read_as_command(manifest, FileCache())
+        except InputError as error:
+            found += error.each
+        except (ComputeError, OSError) as error:
+            found.append(error)
+        for number, channel in enumerate(self.channels) if manifest is None else ():
+            try:
+                self.raw(number) if channel.file is not None else None
+            except (InputError, ComputeError, OSError, ValueError) as error:
+                found.append(error)
+        return [notice_of(error, self.path) for error in found]
 
     def spectrum(self, number: int) -> Spectrum:
         """Return the whole amplitude spectrum of a channel; lost samples are replaced by the mean."""

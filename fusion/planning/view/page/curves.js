@@ -72,10 +72,18 @@
     shown: () => spectrum().catch(failed),
   };
 
-  /* Phasors. */
+  /* Phasors: colour and marker of each source as in the report, named once. */
+  const SIGNS = { circle: "●", square: "■", diamond: "◆", triangle: "▲" };
   async function phasors() {
     const found = await view.ask("phasors", { line: view.get("line").value || 0 });
     view.get("phasors-told").textContent = found.told;
+    const sources = new Map(found.panels.flatMap((panel) => panel.values).map((one) => [one.source, one]));
+    view.get("phasors-legend").replaceChildren(...[...sources].map(([source, one]) => {
+      const entry = view.element("span", ` ${source}`), sign = view.element("span", SIGNS[one.marker] ?? "●");
+      sign.style.color = view.colour(one.colour);
+      entry.prepend(sign);
+      return entry;
+    }));
     const plots = found.panels.map((panel) => {
       const reach = (way) => panel.values.flatMap((one) => [one[way] - one.axes[0], one[way] + one.axes[0]]);
       const middle = (all) => (Math.min(...all) + Math.max(...all)) / 2, half = (all) => (Math.max(...all) - Math.min(...all)) / 2;
@@ -87,9 +95,9 @@
       panel.values.forEach((one) => {
         const colour = view.colour(one.colour), source = new Bokeh.ColumnDataSource({ data: { x: [one.re], y: [one.im], width: [2 * one.axes[0]],
           height: [2 * one.axes[1]], angle: [one.angle], name: [one.name], size: [one.size] } });
-        const dot = plot.scatter({ field: "x" }, { field: "y" }, { source, size: 7, marker: one.marker, fill_color: colour, line_color: colour, legend_label: one.name });
+        const dot = plot.scatter({ field: "x" }, { field: "y" }, { source, size: 7, marker: one.marker, fill_color: colour, line_color: colour });
         plot.ellipse({ field: "x" }, { field: "y" }, { field: "width" }, { field: "height" }, { source, angle: { field: "angle" }, fill_alpha: 0.1,
-          fill_color: colour, line_color: colour, legend_label: one.name });
+          fill_color: colour, line_color: colour });
         plot.add_tools(new Bokeh.HoverTool({ renderers: [dot], tooltips: [["from", "@name"], ["value", "@size"]] }));
       });
       return plot;

@@ -125,6 +125,11 @@
       if (this.image) {
         this.shaded();
         pen.drawImage(this.sheet, 0, 0);
+      } else {
+        pen.fillStyle = "#bbb";
+        pen.font = `${16 * sharp * this.scale}px system-ui, sans-serif`;
+        pen.textAlign = "center";
+        pen.fillText("no image can be shown", this.x + this.width / this.zoom / 2, this.y + this.height / this.zoom / 2);
       }
       marks(pen, this.scale * sharp);
     }
