@@ -183,9 +183,10 @@ def spectrum(viewed: ViewedRecording, query: Query) -> bytes:
     last = min(max(int(np.ceil(end / step)) + 1, first + 1), len(found.amplitude))
     if query.get("log") == "1" and last > max(first, 1) + 1:
         starts = np.unique(np.geomspace(max(first, 1), last, MOST_BINS + 1).astype(int)[:-1])
-        starts = np.concatenate([[0], starts]) if first == 0 else starts
     else:
-        starts = np.arange(first, last, -(-(last - first) // MOST_BINS))
+        starts = np.arange(max(first, 1), max(last, 2), -(-(last - first) // MOST_BINS))
+    starts = np.concatenate([[0], starts]) if first == 0 else starts
+    starts = starts[starts < last]
     ends = np.append(starts[1:], last)
     highest = np.array([a + int(np.argmax(found.amplitude[a:b])) for a, b in zip(starts, ends, strict=True)])
     text = (

@@ -33,7 +33,7 @@ from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 MOST_LISTED = 20  # images of a camera whose errors are listed; each shows its own
-MOST_EXAMINED = 400_000_000  # bytes of a recording that are examined when the page opens; `check` has no limit
+MOST_EXAMINED = 100_000_000  # bytes of a recording that are examined when the page opens; `check` has no limit
 ALONE = (".h5", ".hdf5", ".tdms")  # files of which single channels can be read
 
 
