@@ -25,6 +25,7 @@ from fusion.report.atomic_files import write_file, write_files
 from fusion.report.figure import Figure
 from fusion.report.folder import (
     CURVE_FILE,
+    RECORDED_AT,
     RESULT_FILE,
     RESULT_FORMAT,
     SENSITIVITY_FILE,
@@ -317,10 +318,6 @@ SENSOR = [
     *("static_sensitivity_uncertainty", "cross_talk", "cross_talk_uncertainty"),
 ]
 """Information on the tested sensor that a campaign needs."""
-
-
-RECORDED_AT = ("recording_from_results", "recording_path")
-"""Attributes of a result: path of recording.toml from the folder of the results, and its absolute path."""
 
 
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: Path | None = None) -> None:

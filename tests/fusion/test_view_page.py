@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-from cluster_factory import wait_until
 
 from fusion.planning.planning_notices import RECORDING_CHANGED
 from fusion.recording.load import load_manifest
@@ -26,7 +25,11 @@ EXPECTED = "willReadFrequently|status of 400"
 
 def until(page: Any, condition: str) -> None:
     """Wait for a condition, which the page's policy does not let the browser's driver evaluate."""
-    wait_until(lambda: bool(page.evaluate(condition)))
+    for _ in range(400):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(condition)
 
 
 @pytest.fixture
@@ -73,7 +76,7 @@ def test_the_wheel_zooms_around_the_pixel_under_the_mouse(demo_recording, opened
     with served(demo_recording) as client:
         page = opened(client)
         box = page.locator("#left").bounding_box()
-        where = [box["x"] + 0.7 * box["width"], box["y"] + 0.3 * box["height"]]
+        where = [round(box["x"] + 0.7 * box["width"]), round(box["y"] + 0.3 * box["height"])]
         at = f"view.where('left', {{ clientX: {where[0]}, clientY: {where[1]} }})"
         before = page.evaluate(at)
         page.mouse.move(*where)
@@ -179,8 +182,8 @@ def test_a_polygon_is_written_after_a_confirmation(campaign, opened):
         file.write_bytes(file.read_bytes() + b"# by hand\n")
         page.click("#write")
         page.click("#confirm-write")
-        until(page, "document.getElementById('error').textContent !== ''")
-        assert RECORDING_CHANGED.code in page.inner_text("#error")
+        until(page, "document.getElementById('written').textContent !== ''")
+        assert RECORDING_CHANGED.code in page.inner_text("#written")
         assert "mask" in file.read_text(encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""Smallest and largest samples of a channel's blocks, so that a view of any zoom shows every peak."""
+"""Extremes of a channel in blocks, so that every zoom shows every peak."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from fusion.errors import InputError
 from fusion.planning.planning_notices import OUTLINE_NOT_WRITTEN, RECORDING_CHANGED
-from fusion.planning.view.viewed_recording import version_of
+from fusion.planning.view.readable import version_of
 from fusion.recording.values import Outline, outline, outlines
 from fusion.report.atomic_files import write_atomically
 
@@ -43,7 +43,7 @@ def write_outlines(
 
 
 def edited(text: str, place: tuple[int, int], stated: dict[str, Any]) -> str:
-    """Return the text of a recording.toml with other values of some keys of an `[[images]]` block.
+    """Return the text with other values of some keys of an `[[images]]` block.
 
     None removes a key. Raises `ValueError` unless exactly these keys change.
 
@@ -82,7 +82,7 @@ def _block(values: dict[str, Any], place: tuple[int, int]) -> dict[str, Any]:
 
 
 def _lines_of_block(lines: list[str], values: dict[str, Any], place: tuple[int, int]) -> tuple[int, int]:
-    """Return the first line after the header of a block, and the line after its last key."""
+    """Return the first line of a block, and the line after its last key."""
     take, number = place
     name = "take.images" if take else "images"
     earlier = sum(len(one.get("images", ())) for one in values["take"][: take - 1]) if take else 0
@@ -98,7 +98,7 @@ def _lines_of_block(lines: list[str], values: dict[str, Any], place: tuple[int, 
 
 
 def _set(lines: list[str], block: tuple[int, int], key: str, value: Any) -> int:
-    """Change a key in the lines of a block, and return by how many lines it grows."""
+    """Change a key of a block, and return by how many lines it grows."""
     end = "\r" if lines[block[0] - 1].endswith("\r") else ""
     statement = [] if value is None else [f"{key} = {_as_list(value)}"]
     for n in range(*block):

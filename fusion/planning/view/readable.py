@@ -1,13 +1,15 @@
-"""The readable parts of a recording: images and channels of a manifest with errors, and the errors."""
+"""Readable parts of a recording whose manifest has errors: images, channels, errors."""
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from pydantic import ValidationError
 
@@ -65,7 +67,10 @@ class StatedChannel:
 
 @dataclass(frozen=True)
 class ReadableRecording:
-    """Parts of a recording that can be shown, and its errors; `manifest` is None if there are any."""
+    """Readable parts of a recording, and its errors.
+
+    `manifest` is None if there are any.
+    """
 
     name: str
     manifest: Manifest | None
@@ -151,8 +156,8 @@ class _Text:
 
     def _pair(self, stated: dict[str, Any]) -> Stereo | None:
         try:
-            return Stereo.model_validate(expand_statements(stated, self._folder)[0], context=Context(self._rig_scope))
-        except (ValidationError, InputError):
+            return Stereo.model_validate(stated, context=Context(self._rig_scope))
+        except ValidationError:
             return None
 
     def _channels(self, daq: dict[str, Any]) -> Iterator[StatedChannel]:
@@ -176,7 +181,7 @@ class _Text:
             )
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -197,7 +202,10 @@ def _tables(values: Mapping[str, Any], key: str) -> Iterator[dict[str, Any]]:
 def _values(path: Path) -> dict[str, Any]:
     """Return the values of a TOML file; lines that are no TOML are left out."""
     try:
-        return read_toml(path)
+        text = read_toml(path)
+        with suppress(InputError):
+            text = expand_statements(text, path)[0]
+        return text
     except InputError as error:
         if error.declared not in (INVALID_SYNTAX, WRONG_ENCODING) or path.stat().st_size > LARGEST_TOML:
             return {}
@@ -213,6 +221,14 @@ def _values(path: Path) -> dict[str, Any]:
                 return {}
             lines[int(at[1]) - 1] = ""
     return {}
+
+
+def version_of(recording: Path) -> str:
+    """Return the hash of a recording.toml, empty without a file."""
+    try:
+        return hashlib.sha256(recording.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 # Errors as the page shows them.

@@ -23,6 +23,7 @@ from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
 from fusion.planning.view.view_requests import FAILURES, ApiActions, ApiHandlers, ApiResponse, api_actions, api_handlers
 from fusion.planning.view.view_sources import find_sources
 from fusion.planning.view.viewed_recording import ViewSession
+from fusion.report.atomic_files import write_file
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -73,7 +74,7 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Handler of requests: GET of files of the page and of `api/NAME` with a query, POST of actions."""
+    """Handler of requests: GET of files and of `api/NAME`, POST of actions."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -95,7 +96,10 @@ class Handler(BaseHTTPRequestHandler):
         return self._send(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
     def do_POST(self) -> None:
-        """Answer one action, which the page itself requests: no form or script of another page can."""
+        """Answer one action, which the page itself requests.
+
+        No form or script of another page can.
+        """
         name = self._permitted_name()
         if name is None:
             return None
@@ -114,11 +118,13 @@ class Handler(BaseHTTPRequestHandler):
     def _permitted_name(self) -> str | None:
         """Return the name after the token; answer others with a refusal."""
         if self.headers.get("Host") not in self.server.hosts:
-            return self._refuse("expected the address of this machine")
+            self._refuse("expected the address of this machine")
+            return None
         _, _, token_and_name = urlsplit(self.path).path.partition("/")
         token, _, name = token_and_name.partition("/")
         if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._refuse("expected the address printed by shakercal view")
+            self._refuse("expected the address printed by shakercal view")
+            return None
         return name
 
     def _refuse(self, expected: str) -> None:
@@ -180,8 +186,8 @@ def redirect_file(folder: Path, address: str) -> Path:
         '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer"><title>shakercal view',
         f'</title><meta http-equiv="refresh" content="0; url={link}"><p><a href="{link}">shakercal view</a></p>\n',
     )
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-        file.write("".join(parts))
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+    write_file(path, "".join(parts))
     return path
 
 

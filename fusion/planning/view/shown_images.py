@@ -1,4 +1,4 @@
-"""Images of one camera for display: every one that can be read, and the reason for each other one."""
+"""Images of one camera for display, and the reason for each unreadable one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ READ_ERRORS = (OSError, ValueError, ArithmeticError, LookupError, MemoryError)
 
 @dataclass(frozen=True)
 class ShownImage:
-    """An image as stored: grey values (H, W), the largest possible one, and a reason why a run refuses it."""
+    """An image as stored: grey values (H, W) and the largest possible one.
+
+    `refusal`: why a run refuses it.
+    """
 
     grey: GreyImage
     full_scale: int
@@ -57,7 +60,7 @@ class CameraImages:
 
     @cached_property
     def sequence(self) -> ImageSequence | None:
-        """The images as a run reads them, or the first one that can be read; None without any."""
+        """The images as a run reads them, or the first readable one, or None."""
         if self._whole is not None:
             return self._whole
         for path in self.paths:
@@ -118,7 +121,10 @@ def paired_frames(keys: Sequence[Sequence[int]]) -> list[list[int | None]]:
 
 
 def numbers_of_frames(cameras: Sequence[CameraImages]) -> list[list[int]]:
-    """Return keys by which the frames of cameras belong together: the numbers of their files, or their order."""
+    """Return the numbers by which frames of cameras belong together.
+
+    They are those of the files if the cameras have different numbers of them, else their order.
+    """
     counts = [list(range(len(camera))) for camera in cameras]
     found = [camera.numbers for camera in cameras]
     if len({len(camera) for camera in cameras}) < 2 or not all(one is not None and one.exact for one in found):

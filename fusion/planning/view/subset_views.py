@@ -18,7 +18,6 @@ from fusion.report.figure import COLOURS
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.motion_figures import neighbour_distance
-from fusion.report.recording_report import POINT_COLUMNS
 from photogram.camera import StereoRig
 from photogram.geometry import rotation_from_vector
 from shaker.labels import AXES
@@ -80,6 +79,8 @@ class SubsetResults:
         Otherwise it is the part at the lines.
         """
         if self.table.is_file():
+            from fusion.report.recording_report import POINT_COLUMNS
+
             found = np.full((len(self.time_s), len(self.reference_m), 3), np.nan)
             finite = np.flatnonzero(np.isfinite(self.reference_m).all(axis=1))
             columns = [POINT_COLUMNS.index(name) for name in ("frame", "point", *(f"rest_{axis}_m" for axis in AXES))]

@@ -110,7 +110,7 @@ def _colour(quantity: str) -> str:
 
 
 def image(viewed: ViewedRecording, number: int, side: int, frame: int) -> ApiResponse:
-    """Return the grey values of an image as stored, row by row, of 8 or 16 bits.
+    """Return the grey values of an image as stored, row by row.
 
     `refused`: why a run refuses it; alone if the image cannot be read.
     """
@@ -197,7 +197,7 @@ def spectrum(viewed: ViewedRecording, query: Query) -> bytes:
 
 
 def signal(viewed: ViewedRecording, query: Query) -> bytes:
-    """Return channels of a recorder between two times in columns: edges in s, and extremes in the unit.
+    """Return channels of a recorder between two times: edges (s) and extremes of columns.
 
     Times count from the first sample of these channels. `refused`: channels that cannot be read; `remarks`: why a run
     refuses others.
@@ -224,7 +224,10 @@ def signal(viewed: ViewedRecording, query: Query) -> bytes:
 
 
 def _columns(viewed: ViewedRecording, number: int, query: Query, how: tuple[float, int]) -> list[NDArray[Any]]:
-    """Return edges, smallest and largest samples of a channel in columns; `how`: its lag in s, most columns."""
+    """Return edges, smallest and largest samples of a channel in columns.
+
+    `how`: its lag in s, and most columns.
+    """
     raw, (lag_s, most) = viewed.raw(number), how
     count, rate = len(raw.samples), raw.sample_rate_hz
     begin, end = float(query.get("from", "0")) - lag_s, float(query.get("to", "inf")) - lag_s

@@ -10,10 +10,9 @@ from fusion.errors import InputError
 from fusion.planning.planning_notices import RECORDING_MOVED, RESULTS_WITHOUT_RECORDING
 from fusion.recording.load import find_recordings
 from fusion.recording.toml import read_toml
-from fusion.report.folder import RESULT_FILE
+from fusion.report.folder import RECORDED_AT, RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE
-from fusion.report.recording_report import RECORDED_AT
 
 DEFAULT_RESULTS = "results"
 
@@ -45,10 +44,10 @@ def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
         expected = f"a recording of the results in {path}"
         raise InputError(RESULTS_WITHOUT_RECORDING, recording, found="other recordings", expected=expected)
     folders = [path] if (path / RESULT_FILE).is_file() else sorted(one.parent for one in path.glob(f"*/{RESULT_FILE}"))
-    found = [(folder, *_recorded(folder)) for folder in folders]
-    if not any(there for _, _, there in found):
-        raise InputError(RECORDING_MOVED, path, recording=str(found[0][1]) if found else "an unknown place")
-    return [ViewSource(recorded, folder) for folder, recorded, _ in found]
+    recorded = [_recorded(folder) for folder in folders]
+    if not any(there for _, there in recorded):
+        raise InputError(RECORDING_MOVED, path, recording=str(recorded[0][0]) if recorded else "an unknown place")
+    return [ViewSource(one, folder) for folder, (one, _) in zip(folders, recorded, strict=True)]
 
 
 def _results_of(recording: Path, results: Path) -> Path | None:
@@ -58,7 +57,7 @@ def _results_of(recording: Path, results: Path) -> Path | None:
 
 
 def _recorded(results: Path) -> tuple[Path, bool]:
-    """Return the recording of results as they state it, or near them, and whether it is there."""
+    """Return the recording of results, stated or nearby, and whether it exists."""
     folder = results.resolve()
     name, stated = result_names(folder)
     places = [folder / stated[0], *map(Path, stated[1:])] if stated else []

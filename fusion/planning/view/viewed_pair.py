@@ -1,4 +1,4 @@
-"""Images of a stereo pair for display: frames of both cameras that belong together, and their calibration."""
+"""Images of a stereo pair for display: frames that belong together, and calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from photogram.camera import Rig
 
 @dataclass(frozen=True)
 class ViewedPair:
-    """The images of a stereo pair, or of a single camera, in one set-up of a recording."""
+    """The images of a stereo pair or a single camera in one set-up."""
 
     stated: StatedImages
     recording: Path
@@ -29,7 +29,7 @@ class ViewedPair:
 
     @cached_property
     def frames(self) -> list[list[int | None]]:
-        """For each shown frame the place among the files of each camera, None without an image."""
+        """Place of each shown frame among the files of each camera, or None."""
         return paired_frames(self._edges or numbers_of_frames(list(self.cameras.values())))
 
     @property
@@ -42,7 +42,7 @@ class ViewedPair:
         return [edges_of_runs(entry, side, numbers, count).tolist() for side, numbers, count in counted]
 
     def evaluated_frames(self, count: int) -> list[int]:
-        """Return the shown frame of each of `count` frames of a run's results: those that all cameras have."""
+        """Return the shown frames of `count` frames of results, which all cameras have."""
         edges = self._edges
         every = [None not in frame for frame in self.frames]
         keys = sorted(set().union(*edges)) if edges else range(len(every))

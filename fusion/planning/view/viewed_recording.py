@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from fusion.planning.check import read_as_command
 from fusion.planning.look.data_checks import fit_trigger_channel
 from fusion.planning.planning_notices import MANIFEST_NEWER, RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
-from fusion.planning.view.readable import ReadableRecording, StatedChannel, notice_of, read_recording
+from fusion.planning.view.readable import ReadableRecording, StatedChannel, notice_of, read_recording, version_of
 from fusion.planning.view.subset_views import SubsetViews
 from fusion.planning.view.view_sources import ViewSource, result_names
 from fusion.planning.view.viewed_pair import ViewedPair
@@ -105,7 +104,7 @@ class ViewedRecording:
             return cached[channel.name]
 
     def _read(self, channel: StatedChannel, file: Path) -> dict[str, RawChannel]:
-        """Read a channel with those that its reader reads in the same step, times their scales."""
+        """Read a channel and those read in the same step, times their scales."""
         alone = file.suffix.lower() in ALONE
         if channel.block is not None and channel.entry is not None:
             manifest, daq = channel.block
@@ -126,7 +125,7 @@ class ViewedRecording:
         return {name: _scaled(raw, scales[name]) for name, raw in found.items()}
 
     def unit(self, number: int) -> str:
-        """Return the unit of a channel: that of its quantity, or of the file if the manifest has errors."""
+        """Return the unit of a channel: of its quantity, or of its file."""
         channel = self.channels[number]
         unscaled = channel.block is None and channel.scale is None and self.raw(number).unit
         return self.raw(number).unit if unscaled else channel.unit
@@ -145,7 +144,10 @@ class ViewedRecording:
         return SubsetViews(self.pairs, self.results, self.frame_times, self.readable.frequencies_hz)
 
     def frame_times(self, pair: ViewedPair) -> FloatArray | None:
-        """Return the times of a pair's frames by their trigger alone; None if it is not periodic."""
+        """Return the times of a pair's frames by their trigger alone.
+
+        None if it is not periodic.
+        """
         block = pair.stated.manifest
         for number, channel in enumerate(self.channels):
             if channel.name != pair.stated.trigger or channel.entry is None or channel.block is None:
@@ -186,7 +188,10 @@ class ViewedRecording:
 
     @cached_property
     def refusals(self) -> list[dict[str, str]]:
-        """Why the recording's command refuses its data; data of more than some size are not examined."""
+        """Reasons why the recording's command refuses its data.
+
+        Data of more than some size are not examined.
+        """
         manifest, found = self.readable.manifest, list[Exception]()
         files = set(manifest.files) if manifest is not None else {one.file for one in self.channels if one.file}
         if sum(file.stat().st_size for file in files if file.is_file()) > MOST_EXAMINED:
@@ -220,14 +225,6 @@ class ViewedRecording:
 def _scaled(raw: RawChannel, scale: float) -> RawChannel:
     samples: FloatArray = raw.samples if scale == 1.0 else np.asarray(scale * raw.samples)
     return RawChannel(samples, raw.sample_rate_hz, raw.start_s, raw.unit, raw.stamp_s)
-
-
-def version_of(recording: Path) -> str:
-    """Return the hash of a recording.toml, empty without a file."""
-    try:
-        return hashlib.sha256(recording.read_bytes()).hexdigest()
-    except OSError:
-        return ""
 
 
 class ViewSession:

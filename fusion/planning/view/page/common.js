@@ -14,7 +14,7 @@ view.ask = async (what, asked = {}, signal = undefined) => {
   return answer.headers.get("Content-Type") === "application/json" ? answer.json() : answer.arrayBuffer();
 };
 
-/* Ask for a change of a file. */
+/* Request a change of a file. */
 view.request = async (what, asked) => {
   const answer = await fetch(`api/${what}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(asked) });
   const found = await answer.json().catch(() => ({}));

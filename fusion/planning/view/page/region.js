@@ -116,7 +116,7 @@
       view.get("pairs").dispatchEvent(new Event("change"));
       view.get("region-told").hidden = false;
       view.get("written").textContent = "written";
-    }).catch(view.fail);
+    }).catch((error) => { view.get("written").textContent = error.message; });
   });
 
   function trace(pen, outline) {
