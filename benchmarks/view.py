@@ -1,12 +1,13 @@
 """How soon `shakercal view` answers: a step of the slider, and a zoom into long channels.
 
-Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40] [--docs docs]
+Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40] [--browser CHROMIUM] [--docs docs]
 
 Makes a recording of noise in a temporary folder: pictures of 1280 x 1024 px at 10 bit of a stereo pair, and channels
 at 51.2 kHz in HDF5. Its server is asked over HTTP as the page asks it: both pictures and subsets of a frame at once;
 all channels between two random times, in 1200 columns. Printed: median and largest answer in ms and the first one
 (which reads the files and makes the extremes), with --docs into performance.md there; and the memory of the extremes
-over that of the samples as float64.
+over that of the samples as float64. With --browser (Playwright drives it): a step of the slider from the moved slider
+until both images are drawn, whole and zoomed.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ import numpy as np
 import tifffile
 from marked import markdown_table, write_marked
 
-from fusion.planning.view.server import Server, api_handlers
-from fusion.planning.view.viewed_recording import ViewSession, find_sources
+from fusion.planning.view.server import Server
+from fusion.planning.view.view_requests import api_handlers
+from fusion.planning.view.view_sources import find_sources
+from fusion.planning.view.viewed_recording import ViewSession
 
 DEMO = Path(__file__).resolve().parents[1] / "sample_images/demo"
 RATE_HZ, SIZE_PX, FRAMES = 51_200.0, (1280, 1024), 24
@@ -76,11 +79,39 @@ def told(what: str, times_ms: list[float], first_ms: float) -> str:
     return f"| {what} | {np.median(times_ms):.1f} | {max(times_ms):.1f} | {first_ms:.0f} |"
 
 
+STEP = """async (frame) => {
+  const slider = view.get("frame"), began = performance.now();
+  slider.value = frame;
+  slider.dispatchEvent(new Event("input"));
+  while (document.body.dataset.frame !== String(frame)) await new Promise((drawn) => requestAnimationFrame(drawn));
+  return performance.now() - began;
+}"""
+
+
+def in_browser(chromium: str, address: str, draws: int) -> list[str]:
+    """Return rows of steps of the slider in a browser."""
+    from playwright.sync_api import sync_playwright
+
+    rows = []
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.goto(address)
+        page.wait_for_selector("body[data-frame]", timeout=120_000)
+        for what, zoom in (("whole images", 1), ("zoomed 5 times", 5)):
+            page.evaluate(f"view.images.ports.forEach((port) => port.zoomBy({zoom}))")
+            first, *steps = [float(page.evaluate(STEP, (7 * n + 5) % FRAMES)) for n in range(draws)]
+            rows.append(told(f"slider in the browser until both are drawn, {what}", steps, first))
+        browser.close()
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--channels", type=int, default=16)
     parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--browser", help="path of a Chromium")
     parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
     options = parser.parse_args()
     rng = np.random.default_rng(2)
@@ -118,6 +149,7 @@ def main() -> None:
             made = viewed.recording({}).extremes(0)
             share = sum(low.nbytes + high.nbytes for _, low, high in made.levels) / made.samples.nbytes
             print(f"memory of the extremes over that of the samples: {share:.4f}")
+            rows += in_browser(options.browser, server.address, options.draws) if options.browser else []
             server.shutdown()
     table = markdown_table("| request | median ms | largest ms | first ms |", rows)
     print(table)

@@ -268,9 +268,9 @@ def prepare_images(
     pair = _without_calibration_share(sight.pair, rig)
     notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]
     notices += [notice for images in sequences for notice in _contradictions(sight, images)]
-    x, y, *_ = entry.region or (0, 0)
+    x, y = np.atleast_2d(entry.region or (0, 0))[:, :2].min(axis=0).tolist()
     if x >= left.size_px[0] or y >= left.size_px[1]:
-        expected, found = f"a part of images of {left.size_px[0]} x {left.size_px[1]} px", str(list(entry.region or ()))
+        expected, found = f"a part of images of {left.size_px[0]} x {left.size_px[1]} px", str(entry.region)
         raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.region", found=found, expected=expected)
     depth_m, load, modes = depth_range_m(manifest, pair), manifest.rig.load, None
     if pair.body == "load" and load is not None and any(part.measured_by for part in load.elastic):

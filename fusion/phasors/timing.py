@@ -444,6 +444,16 @@ def frame_sight(
     return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + index)
 
 
+def edges_of_runs(entry: Images, side: str, numbers: FrameNumbers | None, frames: int) -> IntArray:
+    """Return the edge of each frame (F,) of a camera, by its stated runs."""
+    assert isinstance(entry.first_edge, dict)
+    index = np.arange(frames) if numbers is None else numbers.frame_index
+    edges = np.zeros(frames, dtype=np.int64)
+    for frame, edge in entry.first_edge[side]:
+        edges[frame:] = edge + (entry.edge_step or 1) * (index[frame:] - index[frame : frame + 1])
+    return edges
+
+
 def shared_edges(
     manifest: Manifest, base: TimeBase, entry: Images, numbers: Sequence[FrameNumbers | None], frames: Sequence[int]
 ) -> tuple[IntArray, list[IntArray]]:
@@ -455,14 +465,11 @@ def shared_edges(
     assert isinstance(entry.first_edge, dict)
     key, shown = f"images.{entry.stereo}.first_edge", list[IntArray]()
     for (side, _), of_camera, count in zip(entry.cameras, numbers, frames, strict=True):
-        index = np.arange(count) if of_camera is None else of_camera.frame_index
-        edges = np.zeros(count, dtype=np.int64)
-        for frame, edge in entry.first_edge[side]:
-            if frame >= count:
-                expected = f"a frame before {count}, their number"
-                raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.{side}", found=str(frame), expected=expected)
-            edges[frame:] = edge + (entry.edge_step or 1) * (index[frame:] - index[frame])
-        shown.append(edges)
+        late = [frame for frame, _ in entry.first_edge[side] if frame >= count]
+        if late:
+            expected = f"a frame before {count}, their number"
+            raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.{side}", found=str(late[0]), expected=expected)
+        shown.append(edges_of_runs(entry, side, of_camera, count))
     recorded = np.arange(base.first_with(entry.trigger)[1].edges)
     common = np.asarray(reduce(np.intersect1d, [*shown, recorded]))
     if len(common) < MINIMUM_FRAMES:

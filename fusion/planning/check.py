@@ -196,22 +196,21 @@ def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str],
 
     Images after the first one are not read.
     """
-    command = KINDS[manifest.excitation.kind].commands[0]
     try:
-        manifest.check_command(command)
-        return [], _read_as(command, manifest, already)
+        return [], read_as_command(manifest, already)
     except InputError as error:
         return [str(error)], []
     except ComputeError:  # the files are correct
         return [], []
 
 
-def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notice]:
-    """Return the notices of a command while it reads the files.
+def read_as_command(manifest: Manifest, already: FileCache) -> list[Notice]:
+    """Return the notices of the recording's command while it reads the files.
 
     Its modules are imported only for that command.
     """
-    notices = list[Notice]()
+    command, notices = KINDS[manifest.excitation.kind].commands[0], list[Notice]()
+    manifest.check_command(command)
     if command == "run":
         from fusion.phasors.set_up import prepare_set_ups, with_channels
 

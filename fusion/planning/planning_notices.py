@@ -130,3 +130,35 @@ UNUSED_ANSWER = DeclaredNotice(
     remedy="Correct the key of the file of `--answers`; `shakercal init` without it shows the keys.",
     link="drafting.md#questions-and-answers",
 )
+RECORDING_MOVED = DeclaredNotice(
+    "SC-940",
+    "error",
+    "the recording of these results is no longer at {recording}",
+    effect="Images and channels are read from the recording.",
+    remedy="Name its present place by `--recording FOLDER`.",
+    link="view.md",
+)
+RECORDING_CHANGED = DeclaredNotice(
+    "SC-941",
+    "error",
+    "the file has changed since the page read it",
+    effect="Nothing was written.",
+    remedy="Reload the page, which reads the file anew, and draw again.",
+    link="view.md#region-of-interest-and-masks",
+)
+OUTLINE_NOT_WRITTEN = DeclaredNotice(
+    "SC-942",
+    "error",
+    "the block of these images cannot be edited: {reason}",
+    effect="Nothing was written.",
+    remedy="Copy the lines of the page into recording.toml.",
+    link="view.md#region-of-interest-and-masks",
+)
+MANIFEST_NEWER = DeclaredNotice(
+    "SC-943",
+    "warning",
+    "recording.toml has changed since these results",
+    effect="Subsets and phasors may not be those of the present manifest.",
+    remedy="Evaluate the recording again by `shakercal run`.",
+    link="view.md",
+)

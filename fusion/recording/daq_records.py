@@ -335,24 +335,24 @@ def _read_daq(
         record = DaqRecord(daq, raw, start_s, slowest_hz=slowest_hz)
     for entry in daq.channel:
         gaps = slowest_hz is not None and entry.quantity != "trigger"
-        _check_samples(daq, entry, record.raw[entry.name], gaps=gaps)
+        check_samples(daq.file, entry.stored_name, record.raw[entry.name], entry.quantity, gaps=gaps)
     every = KINDS[manifest.excitation.kind].needs_uniform_samples
     record.check_uniform(entry for entry in daq.channel if every or entry.quantity == "trigger")
     return record
 
 
-def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel, *, gaps: bool) -> None:
+def check_samples(file: Path, name: str, channel: RawChannel, quantity: str, *, gaps: bool) -> None:
     """Refuse empty and constant channels, and non-finite samples unless `gaps` are allowed."""
-    name, samples = entry.stored_name, channel.samples
+    samples = channel.samples
     if len(samples) < 2:
-        raise InputError(TOO_FEW_SAMPLES, daq.file, name, found=str(len(samples)), expected="at least 2 samples")
+        raise InputError(TOO_FEW_SAMPLES, file, name, found=str(len(samples)), expected="at least 2 samples")
     bad = np.flatnonzero(~np.isfinite(samples))
     if len(bad) and gaps and len(samples) - len(bad) > 1:
         samples = np.delete(samples, bad)
     elif len(bad):
         found = f"{len(bad)} of {len(channel.samples)} not finite, the first at sample {bad[0]}"
-        raise InputError(NON_FINITE_SAMPLES, daq.file, name, found=found, expected="finite samples")
-    if entry.quantity != "trigger" and np.ptp(samples) == 0.0:
+        raise InputError(NON_FINITE_SAMPLES, file, name, found=found, expected="finite samples")
+    if quantity != "trigger" and np.ptp(samples) == 0.0:
         raise InputError(
-            CONSTANT_CHANNEL, daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change"
+            CONSTANT_CHANNEL, file, name, found=f"{samples[0]:g} throughout", expected="samples that change"
         )

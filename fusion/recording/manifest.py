@@ -397,7 +397,8 @@ class Images(Frames):
     """Image sequences of the cameras of a stereo pair, in natural order.
 
     `right` is empty for a single camera. Subsets are inside the `region` of the first left image, outside every `mask`:
-    x, y, width, height in px. `displaced_left`, `displaced_right`: further images of the body at other places.
+    x, y, width, height or the corners of a polygon, in px. `displaced_left`, `displaced_right`: further images of the
+    body at other places.
     """
 
     left: ExistingFiles

@@ -138,7 +138,8 @@ Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Box = tuple[int, int, int, int]
-MOST_PIXELS, MOST_BOXES = 100_000, 1000
+Outline = Box | tuple[tuple[int, int], ...]
+MOST_PIXELS, MOST_OUTLINES = 100_000, 1000
 BodyName = Literal["load", "base"]
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 
@@ -266,13 +267,25 @@ def box(value: Any) -> Box:
     return x, y, width, height
 
 
-def boxes(value: Any) -> tuple[Box, ...]:
-    """Return rectangles in whole pixels."""
+def outline(value: Any) -> Outline:
+    """Return a rectangle, or the corners of a polygon, in whole pixels."""
+    if not isinstance(value, list | tuple) or not any(isinstance(corner, list | tuple) for corner in value):
+        return box(value)
+    pairs = [corner for corner in value if isinstance(corner, list | tuple) and len(corner) == 2]
+    whole = all(type(part) is int and 0 <= part <= MOST_PIXELS for corner in pairs for part in corner)
+    if not whole or len(pairs) < len(value) or not 3 <= len(value) <= MOST_OUTLINES:
+        expected = f"3 to {MOST_OUTLINES} corners [x, y] of a polygon in whole px of the left image"
+        raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
+    return tuple((x, y) for x, y in pairs)
+
+
+def outlines(value: Any) -> tuple[Outline, ...]:
+    """Return rectangles and polygons in whole pixels."""
     if not isinstance(value, list | tuple) or any(not isinstance(one, list | tuple) for one in value):
-        raise refusal("a list of [x, y, width, height]", describe(value), declared=WRONG_VALUE_TYPE)
-    if len(value) > MOST_BOXES:
-        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)), declared=VALUE_OUT_OF_RANGE)
-    return tuple(map(box, value))
+        raise refusal("a list of [x, y, width, height] or polygons", describe(value), declared=WRONG_VALUE_TYPE)
+    if len(value) > MOST_OUTLINES:
+        raise refusal(f"at most {MOST_OUTLINES} rectangles and polygons", str(len(value)), declared=VALUE_OUT_OF_RANGE)
+    return tuple(map(outline, value))
 
 
 def unit_vector(value: Any) -> tuple[float, ...]:
@@ -544,8 +557,8 @@ RowTime = Annotated[tuple[float, float], BeforeValidator(each_of(2)), ROWS]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Uncertainty3 = Annotated[Vector3, BeforeValidator(uncertainty_vector(3))]
 PoseUncertainty = Annotated[Vector6, BeforeValidator(uncertainty_vector(6, "3 in m, 3 in rad"))]
-Region = Annotated[Box, BeforeValidator(box)]
-Mask = Annotated[tuple[Box, ...], BeforeValidator(boxes)]
+Region = Annotated[Outline, BeforeValidator(outline)]
+Mask = Annotated[tuple[Outline, ...], BeforeValidator(outlines)]
 Rotation = Annotated[Matrix3, BeforeValidator(rotation)]
 Inertia = Annotated[Matrix3, BeforeValidator(inertia)]
 InertiaUncertainty = Annotated[Matrix3, BeforeValidator(inertia_spread)]

@@ -59,6 +59,10 @@ TEMPLATES = Path(__file__).with_name("templates")
 Setting = str | float | int
 
 
+RECORDED_AT = ("recording_from_results", "recording_path")
+"""Attributes of a result: path of recording.toml from the folder of the results, and its absolute path."""
+
+
 class ResultOrigin(Protocol):
     """Provenance of a result."""
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from operator import itemgetter
 from pathlib import Path
@@ -22,6 +24,7 @@ from fusion.report.field_images import field_page
 from fusion.report.figure import Figure
 from fusion.report.folder import (
     CURVE_FILE,
+    RECORDED_AT,
     RESULT_FILE,
     RESULT_FORMAT,
     SENSITIVITY_FILE,
@@ -309,7 +312,7 @@ def write_results(
         if "save_points" in evaluation.settings:
             names += [name for stereo in evaluation.stereo for name in save_points(temporary, stereo)]
         names.append(RESULT_FILE)
-        write_h5(temporary / RESULT_FILE, evaluation, names)
+        write_h5(temporary / RESULT_FILE, evaluation, names, folder)
         return names
 
     inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
@@ -341,16 +344,20 @@ SENSOR = [
 """Information on the tested sensor that a campaign needs."""
 
 
-def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
+def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: Path | None = None) -> None:
     """Write the evaluation and its provenance to a new HDF5 file.
 
-    `files`: names of all result files.
+    `files`: names of all result files. `folder`: where they will be.
     """
     manifest = evaluation.manifest
+    recorded = manifest.path.resolve()
 
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["recording"] = manifest.name
+        file.attrs[RECORDED_AT[1]] = str(recorded)
+        with suppress(ValueError):  # of another drive
+            file.attrs[RECORDED_AT[0]] = Path(os.path.relpath(recorded, (folder or path.parent).resolve())).as_posix()
         file.attrs["rig"] = manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)

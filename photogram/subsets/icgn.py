@@ -32,7 +32,7 @@ LARGEST_UNRESOLVED_PX = 0.15  # displacement that a shape function of order 2 ma
 TRUNCATED = 0.15  # effect of the terms after the second order over that of the second, measured on waves
 
 
-Box = tuple[int, int, int, int]
+Outline = tuple[int, int, int, int] | tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class TrackSettings:
     min_zncc : correlation below which a subset is lost; default 0.75.
     reach_px : half width of the search when the prediction fails; the whole image follows; default 32.
     shape_order : of the shape function, 0 (translation), 1 (affine, default) or 2.
-    region : x, y, width, height of the part of the first left image that has subsets; None (default) for all.
+    region : part of the first left image that has subsets: x, y, width, height, or the corners of a polygon, which are
+        pixels of it; None (default) for all.
     mask : parts that have none.
     frames : approximate number of frames in which subsets are searched, where a body's motion is fitted to the grey
         values of all frames (`measure.follow`); None (default) for all.
@@ -68,8 +69,8 @@ class TrackSettings:
     min_zncc: float = 0.75
     reach_px: int = 32
     shape_order: int = 1
-    region: Box | None = None
-    mask: tuple[Box, ...] = ()
+    region: Outline | None = None
+    mask: tuple[Outline, ...] = ()
     frames: int | None = None
 
     def __post_init__(self) -> None:

@@ -547,12 +547,16 @@ def _chosen_part(shape: tuple[int, ...], settings: TrackSettings) -> BoolArray |
     """Return the pixels (H,W) in the region and in no mask, None without both."""
     if settings.region is None and not settings.mask:
         return None
-    x, y, width, height = settings.region or (0, 0, shape[1], shape[0])
-    chosen = np.zeros(shape, dtype=bool)
-    chosen[y : y + height, x : x + width] = True
-    for x, y, width, height in settings.mask:
-        chosen[y : y + height, x : x + width] = False
-    return chosen
+    import cv2
+
+    chosen = np.full(shape, settings.region is None, dtype=np.uint8)
+    for value, outline in ((1, settings.region), *((0, mask) for mask in settings.mask)):
+        if outline is not None and isinstance(outline[0], int):
+            x, y, width, height = outline
+            chosen[y : y + height, x : x + width] = value
+        elif outline is not None:
+            cv2.fillPoly(chosen, [np.array(outline, dtype=np.int32)], value)
+    return chosen.astype(np.bool_)
 
 
 def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> BoolArray:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
 import struct
+import subprocess
+import sys
 import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.client import HTTPConnection
 from itertools import pairwise
 from pathlib import Path
@@ -20,14 +24,26 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from cluster_factory import environment, wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.errors import InputError
-from fusion.planning.planning_notices import PORT_IN_USE, RESULTS_WITHOUT_RECORDING
-from fusion.planning.view.server import LONGEST, Server, api_handlers
-from fusion.planning.view.viewed_recording import Extremes, ViewSession, find_sources
+from fusion.planning.planning_notices import (
+    MANIFEST_NEWER,
+    PORT_IN_USE,
+    RECORDING_CHANGED,
+    RECORDING_MOVED,
+    RESULTS_WITHOUT_RECORDING,
+)
+from fusion.planning.view.extremes import Extremes
+from fusion.planning.view.manifest_edit import edited
+from fusion.planning.view.server import LONGEST, Server, redirect_file
+from fusion.planning.view.view_requests import api_actions, api_handlers
+from fusion.planning.view.view_sources import find_sources
+from fusion.planning.view.viewed_recording import ViewSession
 from fusion.recording.load import load_manifest
+from fusion.report.folder import hash_files
 from fusion.report.recording_report import write_results
 from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import TrackSettings
@@ -51,6 +67,18 @@ class Client:
         connection.close()
         return found
 
+    def post(self, what: str, asked: Any, token: str = "", **heads: str | None) -> tuple[int, Any]:
+        origin = f"http://127.0.0.1:{self.server.server_port}"
+        sent = {"Origin": origin, "Content-Type": "application/json", **heads}
+        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=30)
+        path = f"/{token}/" if token else self.path
+        known = {name: value for name, value in sent.items() if value is not None}
+        connection.request("POST", f"{path}api/{what}", json.dumps(asked).encode(), known)
+        answer = connection.getresponse()
+        status, body = answer.status, answer.read()
+        connection.close()
+        return status, json.loads(body) if answer.getheader("Content-Type") == "application/json" else body
+
     def ask(self, what: str, **asked: Any) -> Any:
         status, heads, body = self.raw(f"{self.path}api/{what}?{urlencode(asked)}")
         if heads["Content-Type"] == "application/json":
@@ -66,9 +94,18 @@ def numbers(body: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
     return head, np.split(values, np.cumsum(head["lengths"])[:-1])
 
 
+def picture(body: bytes) -> tuple[dict[str, Any], np.ndarray]:
+    """Take an image apart, by the description of its format."""
+    (length,) = struct.unpack("<Q", body[:8])
+    head = json.loads(body[8 : 8 + length])
+    grey = np.frombuffer(body[8 + length :], {8: "u1", 16: "<u2"}[head["bits"]])
+    return head, grey.reshape(head["height"], head["width"])
+
+
 @contextmanager
 def served(path: Path, recording: Path | None = None) -> Iterator[Client]:
-    server = Server(api_handlers(ViewSession(find_sources(path, recording))))
+    viewed = ViewSession(find_sources(path, recording))
+    server = Server(api_handlers(viewed), 0, api_actions(viewed))
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:
@@ -189,12 +226,11 @@ def test_a_zoom_shows_every_peak_of_the_file(client, demo_recording):
 
 
 def test_pictures_are_those_of_the_files(client, demo_recording):
-    width, height = client.ask("recording")["pairs"][0]["sizes"][1]
-    shown = np.frombuffer(client.ask("frame", pair=0, side=1, frame=3), np.uint8).reshape(height, width)
+    head, shown = picture(client.ask("frame", pair=0, side=1, frame=3))
     stored = cv2.imread(str(demo_recording / "Fz-0080" / "top-right" / "0003.tif"), cv2.IMREAD_UNCHANGED)
-    assert np.corrcoef(shown.ravel(), stored.ravel())[0, 1] > 0.999
-    order = np.argsort(stored.ravel(), kind="stable")
-    assert (np.diff(shown.ravel()[order].astype(int)) >= 0).all()
+    np.testing.assert_array_equal(shown, stored)
+    assert (head["full"], head["refused"]) == (1023, None)
+    assert client.ask("recording")["pairs"][0]["cameras"][1]["size"] == [head["width"], head["height"]]
 
 
 def test_the_beat_orders_frames_by_the_phase_of_the_line(client, demo_recording):
@@ -277,9 +313,216 @@ def test_wrong_input_is_one_sentence(tmp_path, refused, demo_recording):
         assert f"{PORT_IN_USE.code} --port" in refused("view", demo_recording, "--no-browser", "--port", port)
 
 
-def test_results_without_their_recording_say_how_to_name_it(tmp_path, refused, demo_results):
-    shutil.copytree(demo_results, tmp_path / "apart" / "somewhere")
-    assert "--recording" in refused("view", tmp_path / "apart" / "somewhere", "--no-browser")
+def test_results_find_their_recording(tmp_path, demo_recording, demo_evaluation, refused):
+    """By its place, from another folder by the absolute path, both moved together by the relative one."""
+    home = tmp_path / "home"
+    shutil.copytree(demo_recording, home / "campaign")
+    manifest = load_manifest(home / "campaign" / "Fz-0080")
+    write_results(replace(demo_evaluation, manifest=manifest), home / "out" / "any name")
+    (source,) = find_sources(home / "out" / "any name")
+    assert source.recording == manifest.path.resolve()
+    shutil.copytree(home / "out" / "any name", tmp_path / "elsewhere" / "results")
+    assert find_sources(tmp_path / "elsewhere" / "results")[0].recording == manifest.path.resolve()
+    home.rename(tmp_path / "moved")
+    (source,) = find_sources(tmp_path / "moved" / "out" / "any name")
+    assert source.recording == tmp_path / "moved" / "campaign" / "Fz-0080" / "recording.toml"
+    sentence = refused("view", tmp_path / "elsewhere" / "results", "--no-browser")
+    assert RECORDING_MOVED.code in sentence
+    assert str(manifest.path) in sentence
+    assert "--recording" in (RECORDING_MOVED.remedy or "")
+    found = find_sources(tmp_path / "elsewhere" / "results", tmp_path / "moved" / "campaign")
+    assert found[0].results == tmp_path / "elsewhere" / "results"
+
+
+def test_another_recording_at_the_same_place_is_not_taken(tmp_path, demo_recording, demo_evaluation):
+    shutil.copytree(demo_recording, tmp_path / "campaign")
+    manifest = load_manifest(tmp_path / "campaign" / "Fz-0080")
+    write_results(replace(demo_evaluation, manifest=manifest), tmp_path / "out")
+    text = manifest.path.read_text(encoding="utf-8")
+    manifest.path.write_text(text.replace(f'name = "{manifest.name}"', 'name = "another"', 1), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        find_sources(tmp_path / "out")
+    assert error.value.code == RECORDING_MOVED.code
+
+
+def test_a_manifest_that_is_newer_than_the_results_is_named(tmp_path, demo_recording, demo_evaluation):
+    shutil.copytree(demo_recording, tmp_path / "campaign")
+    manifest = load_manifest(tmp_path / "campaign" / "Fz-0080")
+    hashes = hash_files([manifest.path], manifest.root).hashes
+    write_results(replace(demo_evaluation, manifest=manifest, input_hashes=hashes), tmp_path / "out")
+    with served(tmp_path / "out") as viewed:
+        assert viewed.ask("recording")["errors"] == []
+        manifest.path.write_text(manifest.path.read_text(encoding="utf-8") + "\n# later\n", encoding="utf-8")
+        assert [one["code"] for one in viewed.ask("recording")["errors"]] == [MANIFEST_NEWER.code]
+
+
+# Changes of recording.toml.
+
+
+def outlines(client: Client, **changes: Any) -> dict[str, Any]:
+    told = client.ask("recording")
+    asked = {"recording": 0, "pair": 0, "version": told["version"], "region": None, "mask": []}
+    return {**asked, **changes}
+
+
+def test_outlines_are_written_and_every_other_line_stays(tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    file = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    before = file.read_bytes()
+    polygon = [[100, 80], [150, 80], [120, 130]]
+    with served(tmp_path / "demo") as viewed:
+        status, found = viewed.post(
+            "outlines", outlines(viewed, pair=1, region=[5, 6, 200, 150], mask=[[9, 9, 3, 3], polygon])
+        )
+        assert status == 200, found
+        after = file.read_bytes()
+        lines = ["region = [5, 6, 200, 150]", "mask = [[9, 9, 3, 3], [[100, 80], [150, 80], [120, 130]]]"]
+        assert [line for line in after.decode().splitlines() if line not in before.decode().splitlines()] == lines
+        told = viewed.ask("recording")["pairs"]
+        assert (told[1]["region"], told[1]["mask"]) == ([5, 6, 200, 150], [[9, 9, 3, 3], polygon])
+        assert told[0]["region"] is None
+        assert load_manifest(file).images[1].mask[1] == ((100, 80), (150, 80), (120, 130))
+        assert viewed.post("outlines", outlines(viewed, pair=1))[0] == 200
+    assert file.read_bytes() == before
+
+
+def test_a_file_that_changed_meanwhile_is_not_written(tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    file = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    with served(tmp_path / "demo") as viewed:
+        asked = outlines(viewed, region=[5, 6, 200, 150])
+        file.write_text(file.read_text(encoding="utf-8") + "# by hand\n", encoding="utf-8")
+        before = file.read_bytes()
+        status, found = viewed.post("outlines", asked)
+        assert (status, found["error"].split()[0]) == (400, RECORDING_CHANGED.code)
+        assert file.read_bytes() == before
+        assert viewed.post("outlines", outlines(viewed, region=[5, 6, 200, 150]))[0] == 200
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"region": [1, 2, 3]}, {"mask": [[[1, 1], [2, 2]]]}, {"region": "all"}, {"pair": 7}, {"mask": None}]
+)
+def test_wrong_outlines_are_not_written(wrong, tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    file = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    before = file.read_bytes()
+    with served(tmp_path / "demo") as viewed:
+        status, found = viewed.post("outlines", outlines(viewed, **wrong))
+    assert status == 400
+    assert found["error"]
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        {"Origin": "http://example.org"},
+        {"Origin": "null"},
+        {"Origin": None},
+        {"Content-Type": "text/plain"},
+        {"Content-Type": "application/x-www-form-urlencoded"},
+        {"Host": "example.org"},
+        {"Content-Length": "9999999999"},
+    ],
+)
+def test_no_other_page_changes_a_file(heads, tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    file = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    before = file.read_bytes()
+    with served(tmp_path / "demo") as viewed:
+        asked = outlines(viewed, region=[5, 6, 200, 150])
+        assert viewed.post("outlines", asked, **heads)[0] == 403
+        assert viewed.post("outlines", asked, token="x" * 32)[0] == 403
+        assert viewed.raw(f"{viewed.path}api/outlines?{urlencode({'region': '[5, 6, 20, 15]'})}")[0] == 404
+    assert file.read_bytes() == before
+
+
+NESTED = """# head
+name = "a"   # a name
+[[take]]
+[[take.images]]
+stereo = "one"
+[[take]]
+[[take.images]] # second
+stereo = "two"
+mask = [ # boxes
+  [1, 2, 3, 4], # screw
+
+  [5, 6, 7, 8],
+]
+# below
+[take.images.more]
+x = 1
+"""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_block_of_a_take_is_edited_with_its_comments(end):
+    text = NESTED.replace("\n", end)
+    changed = edited(text, (2, 0), {"region": (0, 0, 9, 9), "mask": ((1, 2, 3, 4),)})
+    expected = tomllib.loads(NESTED)
+    expected["take"][1]["images"][0] |= {"region": [0, 0, 9, 9], "mask": [[1, 2, 3, 4]]}
+    assert tomllib.loads(changed) == expected
+    assert changed.count("\n") == changed.count(end)
+    for comment in ("# head", "# a name", "# second", "# boxes", "# screw", "# below"):
+        assert comment in changed
+    assert edited(text, (1, 0), {"region": None, "mask": None}) == text
+
+
+@pytest.mark.parametrize("text", ['images = [{stereo = "a"}]', "[[images]]", 'a = """\n[[images]]\n"""\nimages = [{}]'])
+def test_what_cannot_be_edited_line_by_line_is_refused(text):
+    if text == "[[images]]":
+        assert edited(text, (0, 0), {"region": (0, 0, 9, 9)}) == "[[images]]\nregion = [0, 0, 9, 9]"
+        return
+    with pytest.raises(ValueError, match=r"header|tables"):
+        edited(text, (0, 0), {"region": (0, 0, 9, 9)})
+
+
+def test_polygons_leave_subsets_inside_and_out():
+    rng = np.random.default_rng(3)
+    noise = cv2.GaussianBlur(rng.standard_normal((200, 240)), (0, 0), 1.8)
+    grey = cv2.normalize(noise, None, 20, 230, cv2.NORM_MINMAX).astype(np.uint8)
+    images = ImageSequence(("one", "two"), (240, 200), 255, lambda _: grey)
+    triangle, hole = ((20, 20), (220, 20), (120, 190)), ((110, 60), (140, 60), (125, 90))
+    grid = lay_stereo_grid(images, images, None, TrackSettings(7, region=triangle, mask=(hole,)))
+    corners = (grid.left_px[:, None] + np.array([[-7, -7], [-7, 7], [7, -7], [7, 7]])).reshape(-1, 2)
+    assert len(grid.left_px) > 10
+    outline = np.array(triangle, dtype=np.float32)
+    assert all(cv2.pointPolygonTest(outline, corner, True) >= -1.0 for corner in corners.tolist())
+    inside = [cv2.pointPolygonTest(np.array(hole, dtype=np.float32), p, False) > 0 for p in grid.left_px.tolist()]
+    assert not any(inside)
+    assert not grid.areas[1][75, 125]
+
+
+def test_the_browsers_command_line_has_no_token(tmp_path, client):
+    file = redirect_file(tmp_path, client.server.address)
+    assert client.server.token not in file.as_uri()
+    assert f'url={client.server.address}"' in file.read_text(encoding="utf-8")
+    if sys.platform != "win32":
+        assert file.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
+def test_the_redirect_file_goes_with_the_server(tmp_path, demo_recording):
+    """The browser is a program that notes its arguments."""
+    browser = tmp_path / "browser"
+    script = f'#!/bin/sh\ncd {tmp_path}\ncp "${{1#file://}}" page\necho "$@" > args.part\nmv args.part args\n'
+    browser.write_text(script)
+    browser.chmod(0o755)
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    around = {**environment(), "BROWSER": f"{browser} %s", "TMPDIR": str(folder)}
+    command = [sys.executable, "-m", "fusion.cli", "view", str(demo_recording)]
+    with subprocess.Popen(command, env=around, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        wait_until((tmp_path / "args").is_file)
+        arguments = (tmp_path / "args").read_text()
+        assert arguments.startswith("file:")
+        assert urlsplit(address).path.strip("/") not in arguments
+        assert address in (tmp_path / "page").read_text()
+        process.send_signal(signal.SIGINT)
+    assert list(folder.iterdir()) == []
 
 
 # In a browser.

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
+import shutil
+import tempfile
 import webbrowser
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
-import numpy as np
-
+from fusion.base import cleanup_on_signal
 from fusion.errors import ComputeError, InputError
-from fusion.estimation.uncertainty import polar_elements
-from fusion.planning.lines import lines_of_recording
 from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
-from fusion.planning.view.viewed_recording import (
-    SubsetViews,
-    ViewedRecording,
-    ViewSession,
-    ViewSource,
-    find_sources,
-    table,
-)
-from fusion.recording.toml import read_toml
-from shaker.lines.spectrum import amplitude_spectrum
+from fusion.planning.view.view_requests import FAILURES, ApiActions, ApiHandlers, ApiResponse, api_actions, api_handlers
+from fusion.planning.view.view_sources import find_sources
+from fusion.planning.view.viewed_recording import ViewSession
+from fusion.report.atomic_files import write_file
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -39,8 +35,8 @@ POLICY = (
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 LONGEST = 8192  # characters of an address; requests have some hundred
-ApiResponse = bytes | Mapping[str, Any]
-ApiHandlers = Mapping[str, Callable[[Mapping[str, str]], ApiResponse]]
+LARGEST = 1 << 20  # bytes of a request's body
+JSON = "application/json"
 
 
 def page_files() -> dict[str, Path]:
@@ -56,13 +52,14 @@ def page_files() -> dict[str, Path]:
 class Server(ThreadingHTTPServer):
     """A server on the loopback address.
 
-    `address` is that of its page, with a token that every request repeats.
+    `address` is that of its page, with a token that every request repeats. `actions` change files.
     """
 
     daemon_threads = True
 
-    def __init__(self, handlers: ApiHandlers, port: int = 0) -> None:
-        self.handlers, self.token, self.files = handlers, secrets.token_urlsafe(24), page_files()
+    def __init__(self, handlers: ApiHandlers, port: int = 0, actions: ApiActions | None = None) -> None:
+        self.handlers, self.actions = handlers, actions or {}
+        self.token, self.files = secrets.token_urlsafe(24), page_files()
         try:
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
@@ -77,7 +74,7 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Handler of GET requests: files of the page, and `api/NAME` with a query."""
+    """Handler of requests: GET of files and of `api/NAME`, POST of actions."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -86,31 +83,64 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer one request."""
-        if self.headers.get("Host") not in self.server.hosts:
-            return self._send(403, "text/plain", b"expected the address of this machine")
-        where = urlsplit(self.path)
-        _, _, token_and_name = where.path.partition("/")
-        token, _, name = token_and_name.partition("/")
-        if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._send(403, "text/plain", b"expected the address printed by shakercal view")
+        name = self._permitted_name()
+        if name is None:
+            return None
         kind, _, what = name.partition("/")
         if kind == "api" and what in self.server.handlers:
-            return self._answer(what, {key: values[-1] for key, values in parse_qs(where.query).items()})
+            query = {key: values[-1] for key, values in parse_qs(urlsplit(self.path).query).items()}
+            return self._answer(lambda: self.server.handlers[what](query))
         file = self.server.files.get(unquote(name) or "index.html")
         if file is None:
             return self._send(404, "text/plain", b"no such page")
         return self._send(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
-    def _answer(self, what: str, query: Mapping[str, str]) -> None:
+    def do_POST(self) -> None:
+        """Answer one action, which the page itself requests.
+
+        No form or script of another page can.
+        """
+        name = self._permitted_name()
+        if name is None:
+            return None
+        origin, kind = self.headers.get("Origin"), self.headers.get("Content-Type")
+        length = self.headers.get("Content-Length", "")
+        if origin not in {f"http://{host}" for host in self.server.hosts} or kind != JSON:
+            return self._refuse("expected a request of the page itself")
+        if not length.isdecimal() or int(length) > LARGEST:
+            return self._refuse("expected a short request")
+        body = self.rfile.read(int(length))
+        kind, _, what = name.partition("/")
+        if kind != "api" or what not in self.server.actions:
+            return self._send(404, "text/plain", b"no such action")
+        return self._answer(lambda: self.server.actions[what](_table_of(body)))
+
+    def _permitted_name(self) -> str | None:
+        """Return the name after the token; answer others with a refusal."""
+        if self.headers.get("Host") not in self.server.hosts:
+            self._refuse("expected the address of this machine")
+            return None
+        _, _, token_and_name = urlsplit(self.path).path.partition("/")
+        token, _, name = token_and_name.partition("/")
+        if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self._refuse("expected the address printed by shakercal view")
+            return None
+        return name
+
+    def _refuse(self, expected: str) -> None:
+        self.close_connection = True  # an unread body is no further request
+        self._send(403, "text/plain", expected.encode())
+
+    def _answer(self, respond: Callable[[], ApiResponse]) -> None:
         """Answer with numbers or JSON; an error is reported in a sentence."""
-        status, kind = 200, "application/json"
+        status, kind = 200, JSON
         try:
-            found = self.server.handlers[what](query)
+            found = respond()
             if isinstance(found, bytes):
                 kind, text = "application/octet-stream", found
             else:
                 text = json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
-        except (InputError, ComputeError, OSError, ValueError, ArithmeticError, LookupError) as error:
+        except FAILURES as error:
             text_of_error = (
                 f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
             )
@@ -118,7 +148,6 @@ class Handler(BaseHTTPRequestHandler):
         return self._send(status, kind, text)
 
     def _send(self, status: int, kind: str, body: bytes) -> None:
-        self.send_response(status)
         heads = {
             "Content-Type": kind,
             "Content-Length": str(len(body)),
@@ -128,155 +157,48 @@ class Handler(BaseHTTPRequestHandler):
             "Referrer-Policy": "no-referrer",
             "X-Content-Type-Options": "nosniff",
         }
-        for name, value in heads.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)
+        with suppress(ConnectionError):  # the page asks for the next image meanwhile
+            self.send_response(status)
+            for name, value in heads.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
         """Suppress the log: an address contains the token."""
 
 
-MOST_COLUMNS, MOST_BINS = 4000, 4000  # more than the pixels of a screen
-Query = Mapping[str, str]
+def _table_of(body: bytes) -> Mapping[str, Any]:
+    """Return the JSON object of a request."""
+    found = json.loads(body)
+    if not isinstance(found, dict):
+        raise ValueError("expected a table of values")
+    return found
 
 
-def api_handlers(viewed: ViewSession) -> ApiHandlers:
-    """Return the function for each request of the page, by its name."""
+def redirect_file(folder: Path, address: str) -> Path:
+    """Write a page that only this user can read and that opens an address.
 
-    def number(query: Query, name: str) -> int:
-        return int(query[name])
-
-    def subsets(query: Query) -> SubsetViews:
-        return viewed.recording(query).subset_views
-
-    return {
-        "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
-        "recording": lambda query: description(viewed.recording(query)),
-        "frame": lambda query: (
-            viewed.recording(query)
-            .pairs[number(query, "pair")]
-            .image_bytes(number(query, "side"), number(query, "frame"))
-        ),
-        "subsets": lambda query: subsets(query).frame(number(query, "pair"), number(query, "frame")),
-        "epipolar": lambda query: subsets(query).epipolar(
-            number(query, "pair"), number(query, "side"), (float(query["x"]), float(query["y"]))
-        ),
-        "track": lambda query: subsets(query).track(number(query, "pair"), number(query, "point")),
-        "signal": lambda query: signal(viewed.recording(query), query),
-        "spectrum": lambda query: spectrum(viewed.recording(query), number(query, "channel")),
-        "lines": lambda query: lines(viewed.recording(query)),
-        "phasors": lambda query: phasors(viewed.recording(query), number(query, "line")),
-    }
-
-
-def description(viewed: ViewedRecording) -> Mapping[str, Any]:
-    """Return the data that the page needs first, with the lines of the results."""
-    found = viewed.description()
-    pairs = [{**pair, **viewed.subset_views.description(number)} for number, pair in enumerate(found["pairs"])]
-    lines: list[float] = next((one.frequency_hz.tolist() for one in viewed.accelerations.values()), [])
-    return {**found, "pairs": pairs, "resultLines": lines}
-
-
-def overview(source: ViewSource) -> Mapping[str, str]:
-    """Return a row of the campaign's table, from the text of the recording's manifest alone."""
-    name = source.recording.parent.name
-    try:
-        text = read_toml(source.recording)
-    except InputError as error:
-        return {"name": name, "excitation": str(error), "images": "", "channels": "", "results": ""}
-    excitation = text.get("excitation")
-    stated = excitation if isinstance(excitation, dict) else {}
-    listed = stated.get("frequencies")
-    hz = (
-        ", ".join(f"{value:g}" for value in listed if isinstance(value, int | float))
-        if isinstance(listed, list)
-        else ""
-    )
-    blocks = text.get("daq") if isinstance(text.get("daq"), list) else []
-    channels = sum(len(block.get("channel", ())) for block in blocks or () if isinstance(block, dict))
-    pairs = text.get("images")
-    return {
-        "name": name,
-        "excitation": f"{stated.get('kind', '')} {hz}{' Hz' * bool(hz)}".strip(),
-        "images": str(len(pairs) if isinstance(pairs, list) else 0),
-        "channels": str(channels),
-        "results": "" if source.results is None else source.results.name,
-    }
-
-
-def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
-    """Return a panel for each component with all values at a line.
-
-    Values have 95 % regions.
+    The browser's command line, which every user of the machine sees, then names the file instead of the token.
     """
-    panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for name, found in viewed.accelerations.items():
-        row = polar_elements(found.value, found.uncertainty)[line]
-        for e, element in enumerate(row):
-            if element is None or not np.isfinite(element.region.half_axes).all():
-                continue
-            value = complex(found.value[line, e])
-            panels.setdefault((f"{found.channel[e]} {found.component[e]}", found.unit[e]), []).append(
-                {
-                    "name": name,
-                    "re": value.real,
-                    "im": value.imag,
-                    "axes": list(element.region.half_axes),
-                    "angle": element.region.angle_rad,
-                    "size": f"{element.magnitude:.6g} {found.unit[e]}, {np.degrees(element.phase_rad):.4g}°",
-                }
-            )
-    text = "ellipses: 95 % regions" if panels else "Phasors require results of shakercal run."
-    shown = [{"name": name, "unit": unit, "values": values} for (name, unit), values in panels.items()]
-    return {"panels": shown, "told": text}
-
-
-def lines(viewed: ViewedRecording) -> ApiResponse:
-    """Return the lines of a recording with their origins, as `shakercal lines`."""
-    found = lines_of_recording(viewed.manifest)
-    rows = [
-        {"frequency": one.frequency_hz, "what": one.what, "use": one.use, "floor": float(np.nan_to_num(one.floor_db))}
-        for one in found.entries
-    ]
-    return {"lines": rows}
-
-
-def spectrum(viewed: ViewedRecording, number: int) -> bytes:
-    """Return the amplitude spectrum of a channel in its unit.
-
-    Peaks of neighbouring bins are retained.
-    """
-    raw = viewed.raw(number)
-    found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
-    text = (
-        f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
+    path, link = folder / "open.html", escape(address)
+    parts = (
+        '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer"><title>shakercal view',
+        f'</title><meta http-equiv="refresh" content="0; url={link}"><p><a href="{link}">shakercal view</a></p>\n',
     )
-    scale = abs(viewed.channels[number].entry.scale)
-    return table({"told": text}, found.frequency_hz, scale * found.amplitude)
-
-
-def signal(viewed: ViewedRecording, query: Query) -> bytes:
-    """Return channels between two times in columns: edges in s, and extremes in the unit."""
-    numbers = [int(text) for text in query["channels"].split(",")]
-    most = min(max(int(query.get("columns", "1000")), 1), MOST_COLUMNS)
-    arrays: list[np.typing.NDArray[Any]] = []
-    for number in numbers:
-        raw, scale = viewed.raw(number), viewed.channels[number].entry.scale
-        rate = raw.sample_rate_hz
-        begin, end = float(query.get("from", "0")), float(query.get("to", repr(len(raw.samples) / rate)))
-        found = viewed.extremes(number).columns(int(begin * rate), int(np.ceil(end * rate)), most)
-        low, high = (found.low, found.high) if scale >= 0 else (found.high, found.low)
-        arrays += [found.edge / rate, low * scale, high * scale]
-    return table({"channels": numbers}, *arrays)
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+    write_file(path, "".join(parts))
+    return path
 
 
 def run_view(path: Path, recording: Path | None, port: int, *, browser: bool, allow_outside: bool) -> None:
     """Serve the page until Ctrl-C."""
     viewed = ViewSession(find_sources(path, recording), allow_outside=allow_outside)
     viewed.recording({})
-    with Server(api_handlers(viewed), port) as server:
+    with Server(api_handlers(viewed), port, api_actions(viewed)) as server:
         print(f"{server.address}\nCtrl-C ends it", flush=True)
-        if browser:
-            webbrowser.open(server.address)
-        server.serve_forever()
+        folder = Path(tempfile.mkdtemp(prefix="shakercal-view-"))  # of this user alone
+        with cleanup_on_signal(lambda: shutil.rmtree(folder, ignore_errors=True)):
+            if browser:
+                webbrowser.open(redirect_file(folder, server.address).as_uri())
+            server.serve_forever()

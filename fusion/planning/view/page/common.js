@@ -14,11 +14,24 @@ view.ask = async (what, asked = {}, signal = undefined) => {
   return answer.headers.get("Content-Type") === "application/json" ? answer.json() : answer.arrayBuffer();
 };
 
+/* Request a change of a file. */
+view.request = async (what, asked) => {
+  const answer = await fetch(`api/${what}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(asked) });
+  const found = await answer.json().catch(() => ({}));
+  if (!answer.ok) throw new Error(found.error ?? answer.statusText);
+  view.get("error").textContent = "";
+  return found;
+};
+
+/* Head of an answer in numbers, and where its body begins. */
+view.head = (buffer) => {
+  const length = Number(new DataView(buffer).getBigUint64(0, true));
+  return { head: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, length))), at: 8 + length };
+};
+
 /* Head and arrays of doubles of an answer in numbers. */
 view.numbers = (buffer) => {
-  const length = Number(new DataView(buffer).getBigUint64(0, true));
-  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, length)));
-  let at = 8 + length;
+  let { head, at } = view.head(buffer);
   const arrays = head.lengths.map((count) => {
     const part = new Float64Array(buffer, at, count);
     at += 8 * count;
@@ -38,6 +51,18 @@ view.row = (texts) => {
 };
 
 view.short = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "–");
+
+/* A colour of the reports: their black is the page's ink. */
+view.colour = (colour) => (colour === view.told?.palette.ink ? view.css("--ink") : colour);
+view.dye = (name) => view.colour(view.told.palette[name]);
+
+/* List notices: code, place, sentence and remedy. */
+view.notices = (id, notices) => view.get(id).replaceChildren(...notices.map((one) => {
+  const row = document.createElement("li");
+  row.append(view.element("b", `⚠ ${one.code}`), ` ${one.where}: ${one.text}`);
+  if (one.remedy) row.append(" ", view.element("small", `→ ${one.remedy}`));
+  return row;
+}));
 
 /* A panel of BokehJS in the colours of the page. */
 view.panel = (settings) => {

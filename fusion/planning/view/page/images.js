@@ -1,104 +1,111 @@
-/* Image pairs on canvas: frames in time or by phase of a line, subsets with residuals, epipolar lines, tracks. */
+/* Image pairs: frames in time or by phase of a line, played or stepped; overlays on them; picked subsets and points. */
 "use strict";
 (() => {
   const SIDES = ["left", "right"];
-  const AHEAD = 8; // pictures kept
-  const state = { frames: [], order: [], picked: null, epipolar: null, subsets: null, cache: new Map(), asked: 0 };
+  const KEPT = 12; // images
+  const AHEAD = 2; // frames asked for in advance while playing
+  const state = { order: [], picked: null, epipolar: null, subsets: null, cache: new Map(), asked: 0, playing: false, refused: [] };
   view.images = state;
   const pair = () => view.told.pairs[Number(view.get("pairs").value)];
-  const number = () => state.order[Number(view.get("frame").value)] ?? 0;
+  const number = (place = Number(view.get("frame").value)) => state.order[place] ?? 0;
+  const ports = SIDES.map((side) => new view.Viewport(side, () => paint()));
+  view.where = (side, event) => ports[SIDES.indexOf(side)].at(event);
+  state.ports = ports;
 
   async function picture(side, frame) {
     const key = `${view.recording}/${pair().number}/${side}/${frame}`;
     if (!state.cache.has(key)) {
-      state.cache.set(key, view.ask("frame", { pair: pair().number, side, frame }).then((bytes) => {
-        const [width, height] = pair().sizes[side], grey = new Uint8Array(bytes);
-        const image = new ImageData(width, height), pixels = new Uint32Array(image.data.buffer);
-        for (let i = 0; i < grey.length; i += 1) pixels[i] = 0xff000000 | (grey[i] * 0x010101);
-        return image;
+      state.cache.set(key, view.ask("frame", { pair: pair().number, side, frame }).then((found) => {
+        if (!(found instanceof ArrayBuffer)) return { refused: found.refused };
+        const { head, at } = view.head(found);
+        return { ...head, grey: head.bits === 8 ? new Uint8Array(found, at) : new Uint16Array(found, at) };
       }));
       state.cache.get(key).catch(() => state.cache.delete(key));
       for (const old of state.cache.keys()) {
-        if (state.cache.size <= AHEAD) break;
+        if (state.cache.size <= KEPT) break;
         state.cache.delete(old);
       }
     }
     return state.cache.get(key);
   }
 
-  function marks(side, pen, scale) {
-    const seen = state.subsets, shown = seen?.[SIDES[side]];
-    pen.lineWidth = 1.2 * scale;
-    if (shown && view.get("show-subsets").checked) {
+  /* What is drawn on the images, in this order: each is given the side (0, 1), a pen whose unit is one pixel of the image (the
+     centre of pixel (x, y) is at x + 0.5, y + 0.5), pixels of the image per pixel of the screen, and what `subsets` answered. */
+  view.overlays = {
+    subsets(side, pen, scale, seen) {
+      if (!view.get("show-subsets").checked) return;
       const half = seen.radius;
-      shown.forEach(([x, y], i) => {
+      (seen[SIDES[side]] ?? []).forEach(([x, y], i) => {
         if (x === null) return;
-        pen.strokeStyle = i === state.picked ? "#ffd400" : "#56b4e9";
+        pen.strokeStyle = view.dye(i === state.picked ? "picked" : "subset");
         pen.lineWidth = (i === state.picked ? 3 : 1.2) * scale;
         pen.strokeRect(x + 0.5 - half, y + 0.5 - half, 2 * half, 2 * half);
       });
-    }
-    if (shown && view.get("show-residuals").checked && seen.residual) {
+    },
+    residuals(side, pen, scale, seen) {
+      if (!view.get("show-residuals").checked || !seen.residual) return;
       const times = Number(view.get("magnified").value) || 1;
-      pen.strokeStyle = "#ff6a00";
+      pen.strokeStyle = view.dye("line");
       pen.lineWidth = 2 * scale;
       pen.beginPath();
-      shown.forEach(([x, y], i) => {
+      (seen[SIDES[side]] ?? []).forEach(([x, y], i) => {
         const rest = seen.residual[SIDES[side]]?.[i];
         if (x === null || !rest || rest[0] === null) return;
         pen.moveTo(x + 0.5, y + 0.5);
         pen.lineTo(x + 0.5 + times * rest[0], y + 0.5 + times * rest[1]);
       });
       pen.stroke();
-    }
-    const line = state.epipolar?.[SIDES[side]];
-    if (line?.length) {
-      pen.strokeStyle = "#ffd400";
+    },
+    epipolar(side, pen, scale) {
+      const line = state.epipolar?.[SIDES[side]];
+      if (!line?.length) return;
+      pen.strokeStyle = view.dye("picked");
       pen.lineWidth = 1.5 * scale;
       pen.beginPath();
       line.forEach(([x, y], i) => (i ? pen.lineTo(x + 0.5, y + 0.5) : pen.moveTo(x + 0.5, y + 0.5)));
       pen.stroke();
-      if (line.length === 1) pen.strokeRect(line[0][0] - 3 * scale, line[0][1] - 3 * scale, 6 * scale, 6 * scale);
-    }
-    if (side === 0) view.region.draw(pen, scale);
-  }
+      if (line.length === 1) pen.strokeRect(line[0][0] + 0.5 - 4 * scale, line[0][1] + 0.5 - 4 * scale, 8 * scale, 8 * scale);
+    },
+    outlines: (side, pen, scale) => { if (side === 0) view.region.draw(pen, scale); },
+  };
 
   function paint() {
-    state.frames.forEach((image, side) => {
-      const canvas = view.get(SIDES[side]), pen = canvas.getContext("2d");
-      if (canvas.width !== image.width || canvas.height !== image.height) {
-        canvas.width = image.width;
-        canvas.height = image.height;
-      }
-      pen.putImageData(image, 0, 0);
-      marks(side, pen, Math.max(1, image.width / (canvas.clientWidth || image.width)));
+    if (!view.told || view.tab !== "images") return;
+    ports.forEach((port, side) => {
+      if (port.canvas.parentElement.hidden) return;
+      port.paint((pen, scale) => Object.values(view.overlays).forEach((draw) => draw(side, pen, scale, state.subsets ?? {})));
     });
   }
+  state.paint = paint;
 
   async function show() {
-    if (view.tab !== "images") return;
+    if (view.tab !== "images" || !view.told?.pairs.length) return;
     const asked = ++state.asked, frame = number(), one = pair();
-    const pictures = one.sizes.map((_, side) => picture(side, frame));
+    const pictures = one.cameras.map((_, side) => picture(side, frame));
     const [subsets, ...frames] = await Promise.all([view.ask("subsets", { pair: one.number, frame }), ...pictures]);
     if (asked !== state.asked) return;
-    state.frames = frames;
     state.subsets = subsets;
+    frames.forEach((image, side) => ports[side].show(image.grey ? image : null));
     paint();
-    const phase = one.phases?.[Number(view.get("order").value) - 1]?.[frame];
-    const time = one.times?.[frame];
+    caption(one, frame, frames);
+    view.get("images-told").textContent = [one.missing, subsets.told].filter(Boolean).join(" ");
+    document.body.dataset.frame = String(frame);
+  }
+
+  function caption(one, frame, frames) {
     const told = [`frame ${frame} (${Number(view.get("frame").value) + 1} of ${one.frames})`];
+    const time = one.times?.[frame], phase = one.phases?.[Number(view.get("order").value) - 1]?.[frame];
     if (Number.isFinite(time)) told.push(`${time.toFixed(6)} s`);
     if (Number.isFinite(phase)) told.push(`phase ${(360 * phase).toFixed(1)}°`);
     view.get("frame-told").textContent = told.join(", ");
     view.get("frame").setAttribute("aria-valuetext", told.join(", "));
-    SIDES.forEach((side, i) => {
-      view.get(side).parentElement.hidden = i >= frames.length;
-      if (i >= frames.length) return;  // a camera alone
-      view.get(`${side}-told`).textContent = `${side}: ${one.files[i][frame]}`;
-      view.get(side).setAttribute("aria-label", `Image of the ${side} camera of ${one.name}, ${told.join(", ")}`);
+    one.cameras.forEach((camera, i) => {
+      const caught = frames[i].refused, text = view.get(`${SIDES[i]}-told`);
+      text.textContent = `${camera.side}: ${camera.files[frame] || "no image"}`;
+      if (caught) text.append(" ", view.element("b", `⚠ ${caught.code}`), ` ${caught.where}: ${caught.text}`);
+      text.dataset.refused = caught?.code ?? "";
+      view.get(SIDES[i]).setAttribute("aria-label", `Image of the ${camera.side} camera of ${one.name}, ${told.join(", ")}`);
     });
-    view.get("images-told").textContent = [one.missing, subsets.told].filter(Boolean).join(" ");
-    document.body.dataset.frame = String(frame);
   }
 
   function ordered() {
@@ -114,15 +121,16 @@
     view.options("order", ["in time", ...(one.beats ?? []).map((hz) => `by phase of ${view.short(hz)} Hz`)]);
     view.get("frame").value = 0;
     view.get("track").replaceChildren();
+    ports.forEach((port, side) => {
+      const camera = one.cameras[side];
+      port.canvas.parentElement.hidden = !camera;
+      port.shadeKept = false;
+      if (camera) port.opened(camera.size, camera.full);
+    });
     view.region.opened(one);
     ordered();
     show().catch(view.fail);
   }
-
-  view.where = (canvas, event) => {
-    const box = canvas.getBoundingClientRect();
-    return [((event.clientX - box.left) * canvas.width) / box.width - 0.5, ((event.clientY - box.top) * canvas.height) / box.height - 0.5];
-  };
 
   async function pick(side, [x, y]) {
     const one = pair(), seen = state.subsets?.[SIDES[side]] ?? [];
@@ -134,30 +142,69 @@
       if (far < best && far <= state.subsets.radius + 1) [best, state.picked] = [far, i];
     });
     const at = state.picked === null ? [x, y] : seen[state.picked];
+    paint();
     state.epipolar = await view.ask("epipolar", { pair: one.number, side, x: at[0], y: at[1] });
     paint();
     document.body.dataset.picked = state.picked ?? "";
     if (state.picked !== null) await view.drawTrack(one, state.picked);
   }
 
+  /* Frames one after another; the next ones are asked for in advance. */
+  async function play() {
+    state.playing = !state.playing;
+    const button = view.get("play");
+    button.textContent = state.playing ? "❚❚ pause" : "▶ play";
+    button.setAttribute("aria-pressed", String(state.playing));
+    if (!state.playing || state.runs) return;
+    state.runs = true;
+    let due = performance.now();
+    while (state.playing && view.tab === "images") {
+      const slider = view.get("frame"), count = state.order.length, next = (Number(slider.value) + 1) % count;
+      slider.value = next;
+      await show().catch(view.fail);
+      for (let i = 1; i <= AHEAD; i += 1) pair().cameras.forEach((_, side) => picture(side, number((next + i) % count)).catch(() => null));
+      due = Math.max(due + 1000 / Number(view.get("rate").value), performance.now());
+      await new Promise((resolve) => { setTimeout(resolve, due - performance.now()); });
+    }
+    state.runs = false;
+    if (state.playing) play();
+  }
+
   SIDES.forEach((name, side) => view.get(name).addEventListener("click", (event) => {
-    if (view.get("mouse").value === "pick") pick(side, view.where(view.get(name), event)).catch(view.fail);
+    if (!view.drawing(name) && !ports[side].dragged && event.detail < 2) pick(side, view.where(name, event)).catch(view.fail);
   }));
+  view.get("rate").replaceChildren(...[1, 2, 5, 10, 20, 30].map((hz) => view.element("option", String(hz), { value: hz, selected: hz === 10 })));
+  view.get("play").addEventListener("click", play);
   view.get("frame").addEventListener("input", () => show().catch(view.fail));
   view.get("order").addEventListener("change", () => { ordered(); show().catch(view.fail); });
   view.get("pairs").addEventListener("change", paired);
+  const each = (act) => { ports.forEach(act); paint(); };
+  view.get("zoom-in").addEventListener("click", () => each((port) => port.zoomBy(view.ZOOM_STEP)));
+  view.get("zoom-out").addEventListener("click", () => each((port) => port.zoomBy(1 / view.ZOOM_STEP)));
+  view.get("zoom-whole").addEventListener("click", () => each((port) => port.whole()));
   for (const id of ["show-subsets", "show-residuals", "magnified"]) view.get(id).addEventListener("input", paint);
+  window.addEventListener("resize", paint);
   document.addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (!step || view.tab !== "images" || /INPUT|SELECT|TEXTAREA|BUTTON/.test(event.target.tagName)) return;
-    view.get("frame").value = Number(view.get("frame").value) + step;
-    show().catch(view.fail);
+    if (view.tab !== "images" || event.ctrlKey || event.metaKey || /INPUT|SELECT|TEXTAREA|BUTTON/.test(event.target.tagName)) return;
+    const under = ports.find((port) => port.under), zoomed = (act) => (under ? act(under) : each(act));
+    const slider = view.get("frame");
+    const acts = {
+      ArrowLeft: () => { slider.value = Number(slider.value) - 1; show().catch(view.fail); },
+      ArrowRight: () => { slider.value = Number(slider.value) + 1; show().catch(view.fail); },
+      " ": play,
+      "+": () => zoomed((port) => port.zoomBy(view.ZOOM_STEP, port.under)),
+      "-": () => zoomed((port) => port.zoomBy(1 / view.ZOOM_STEP, port.under)),
+      0: () => each((port) => port.whole()),
+    };
+    const act = acts[event.key === "=" ? "+" : event.key];
+    if (!act) return;
+    act();
     event.preventDefault();
   });
-  state.paint = paint;
   view.parts.images = {
     opened: () => {
       state.cache.clear();
+      if (state.playing) play();
       view.options("pairs", view.told.pairs.map((one) => one.name));
       if (view.told.pairs.length) paired();
     },

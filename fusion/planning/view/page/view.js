@@ -29,17 +29,39 @@
     return names;
   }
 
+  /* List the problems of the recording, each once. */
+  function problems(all) {
+    const errors = [...new Map(all.map((one) => [`${one.code} ${one.where} ${one.text}`, one])).values()];
+    const readable = view.told.pairs.length + view.told.channels.length;
+    view.get("problems").hidden = !errors.length;
+    view.get("problems").open = errors.length > 0 && (errors.length < 3 || !readable);
+    view.get("problems-told").textContent = `${errors.length} problem${errors.length > 1 ? "s" : ""} in this recording: ${readable ? "its readable parts are shown" : "nothing of it can be read"}`;
+    view.notices("problems-listed", errors);
+  }
+
+  /* What a run would refuse is looked for once the page is shown. */
+  async function examine() {
+    const { recording, told } = view;
+    const { errors } = await view.ask("refusals");
+    if (view.told === told) problems([...told.errors, ...errors]);
+    document.body.dataset.examined = String(recording);
+  }
+
   async function open(number, recordings) {
     view.recording = number;
     view.get("recordings").value = number;
     view.told = await view.ask("recording");
     view.get("name").textContent = view.told.name;
     document.title = `${view.told.name}: shakercal view`;
+    problems(view.told.errors);
     const names = tabs(recordings);
     for (const part of Object.values(view.parts)) part.opened?.();
     choose(names.includes(view.tab) && view.tab !== "overview" ? view.tab : names[names[0] === "overview" && view.tab ? 1 : 0]);
     document.body.dataset.opened = String(number);
+    setTimeout(() => examine().catch(view.fail), 0);
   }
+
+  view.reopen = () => open(view.recording, view.get("recordings").options.length);
 
   async function start() {
     const { recordings } = await view.ask("sources");
