@@ -31,8 +31,9 @@ from fusion.report.figure import (
     power_of_ten,
 )
 from fusion.sensitivity.ratio import StatedMatrix
-from shaker.labels import LOAD_COMPONENTS, typeset
+from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, typeset
 
 OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
 MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")
@@ -296,4 +297,4 @@ def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
         panel.text(cell[1], cell[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
     panel.x.names, panel.y.names = tuple(found.components), tuple(found.channels)
     panel.x.grid = panel.y.grid = False
-    panel.title = f"{found.frequency_hz:.6g} Hz: outputs down, loads across, per cent"
+    panel.title = f"{number_text(found.frequency_hz, 6)} Hz: outputs down, loads across, per cent"

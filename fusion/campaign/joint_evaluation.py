@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH
 from fusion.campaign.campaign_notices import (
     FAILED_RECORDINGS,
     MISSING_EXCITATIONS,
@@ -44,14 +43,11 @@ from fusion.report.table import (
     common_exponent,
     page_column,
     polar_cells,
-    quantity_html,
-    scaled_html,
-    small,
     table,
-    times_ten,
 )
 from fusion.report.tables import deviation, result_name
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shakercal._common.digits import DASH, quantity_text, scaled_text, small, times_ten
 from shakercal._common.notices import Notice
 
 # Joint results of a campaign: matrices, cross-talk, repeats, linearity, one curve per element.
@@ -301,7 +297,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         name = result_name(first.kind, first.channel, first.component, main=True)
         name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
         label = f"{name}, {first.frequency_hz:.4f} Hz"
-        size = quantity_html(first.element.magnitude, first.element.expanded_magnitude, first.unit)
+        size = quantity_text(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
         if len(mains) > FULL_HEADLINES or len(best) < 2:
             continue
@@ -309,7 +305,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
             label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
             remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
             found.append(Headline(label, deviation(last.relative), remark))
-        turn = quantity_html(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
+        turn = quantity_text(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
         remark = f"{last.channel} to {last.component}, {last.kind}"
         found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
@@ -349,7 +345,7 @@ def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint
 
     def from_static(point: CurvePoint) -> str:
         over = point.relative
-        return DASH if over is None else scaled_html(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
+        return DASH if over is None else scaled_text(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
 
     return [
         page_column("frequency / Hz", lambda point: f"{point.frequency_hz:.4f}"),
@@ -390,6 +386,6 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     if best is None:
         return []
     _, found, c, j = best
-    size = quantity_html(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
+    size = quantity_text(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
     return [Headline("Largest significant cross-talk", size, where)]

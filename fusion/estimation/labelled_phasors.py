@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.digits import round_to_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

@@ -31,7 +31,6 @@ from fusion.report.figure import (
     padded_limits,
     polar_bars,
     power_of_ten,
-    power_text,
 )
 from fusion.report.tables import (
     PREFIXED,
@@ -49,8 +48,9 @@ from fusion.report.tables import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text, power_text, typeset
 
 BUDGET_ENTRIES = 14
 """Largest number of bars in the figure of the budget (chosen)."""
@@ -269,7 +269,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     entries = [sensitivity.budget[entry] for entry in order]
     for kind, colour in (("A", BLUE), ("B", ORANGE)):
         rows = np.flatnonzero([entry.type == kind for entry in entries])
-        names = tuple(f"{entries[row].label}, {share[order[row]]:.2g} % of the variance" for row in rows)
+        names = tuple(f"{entries[row].label}, {number_text(share[order[row]], 2)} % of the variance" for row in rows)
         ends = (np.zeros(len(rows)), 100.0 * u_relative[order[rows]])
         panel.boxes(ends, (rows - 0.33, rows + 0.33), f"type {kind}", colour=colour, names=names)
     texts = [f"{share[entry]:.1f} %" if share[entry] >= 0.05 else "< 0.1 %" for entry in order]

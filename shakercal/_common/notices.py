@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
+from shakercal._common.digits import python_number, python_typeset
+
 Severity = Literal["error", "warning", "note"]
 """`error`: refused. `warning`: the result may be wrong or U incomplete. `note`: good to know."""
 Value = str | int | float | bool
@@ -21,10 +23,11 @@ def plain_value(value: Any) -> Value:
 
 
 class _Formatter(string.Formatter):
-    """`str.format` that puts a space between a number and its %."""
+    """`str.format` with typographic minus signs, powers of ten and spaces before %."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         text = format(value, format_spec)
+        text = text if isinstance(value, str) else python_typeset(text)
         return f"{text[:-1]} %" if format_spec.endswith("%") else text
 
 
@@ -178,7 +181,7 @@ def warnings_first(notices: Iterable[Notice]) -> list[Notice]:
     return sorted(once, key=lambda notice: notice.severity != "warning")
 
 
-NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?: × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
 """A number in a notice; digits within a name, such as that of a channel, do not count."""
 
 
@@ -232,6 +235,6 @@ def _in_ranges(texts: Sequence[str]) -> str:
     words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
     ranges = []
     for numbers in columns:
-        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
+        ordered = sorted(set(numbers), key=python_number)
         ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
     return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)

@@ -17,8 +17,9 @@ from matplotlib.ticker import MaxNLocator
 
 from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
 from fusion.report.figure_files import PNG_DPI, render_figure
-from fusion.report.static_figure import decade_ticks, limits, number_texts, round_ticks, static_svg
+from fusion.report.static_figure import decade_ticks, limits, round_ticks, static_svg
 from fusion.report.svg_marks import shade
+from shakercal._common.digits import tick_texts
 
 SVG = "{http://www.w3.org/2000/svg}"
 NUMBER = re.compile(r"-?(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?")
@@ -203,7 +204,7 @@ def test_ticks_are_round_and_as_many_as_have_room(low, high):
         step = np.diff(ticks)[0]
         assert 2 <= len(ticks) <= 7
         assert step <= 2.6 * np.diff(locator)[0]
-        assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in number_texts(ticks)] == pytest.approx(
+        assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in tick_texts(ticks)] == pytest.approx(
             ticks.tolist(), abs=1e-3 * step
         )
 

@@ -59,6 +59,7 @@ from shaker.lines.detection import Survey, survey_lines
 from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
 from shaker.timebase.trigger import TriggerFit
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 LOOKED_AT = 1 << 16  # samples in which lines are searched for
@@ -227,9 +228,11 @@ def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, f
     bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
     if bins < CLOSE_BINS:
         clear = nearest_clear_rate(lines, rate_hz, frames)
-        advice = f", such as {clear:.6g} frames/s" if clear is not None else ""
+        advice = f", such as {number_text(clear, 6)} frames/s" if clear is not None else ""
         aliases = zip(lines, alias_frequency(lines, rate_hz), strict=True)
-        driven = "driven lines (" + ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in aliases) + ")"
+        driven = (
+            "driven lines (" + ", ".join(f"{number_text(f, 6)} Hz at {number_text(a)} Hz" for f, a in aliases) + ")"
+        )
         notice = Notice(ALIASED_LINES, where, lines=driven, advice=advice, rate_hz=rate_hz, distance_bins=bins)
         yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", notice)
     elif 0 < len(lines) <= 5:
@@ -291,7 +294,9 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
         return found, None
     inside = first[area]
     if area.mean() < SMALL_AREA or len(inside) < 1000:
-        reason = f"only {np.count_nonzero(area)} pixels, {100 * area.mean():.2g} % of the image, have texture"
+        reason = (
+            f"only {np.count_nonzero(area)} pixels, {number_text(100 * area.mean(), 2)} % of the image, have texture"
+        )
         found.append(Finding("REPEAT", Notice(NO_SPECKLE, where, reason=reason)))
         return found, None
     clipped = clip_level(first)

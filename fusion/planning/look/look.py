@@ -58,6 +58,7 @@ from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
 from photogram.images.sensor_pattern import stated_pattern
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
@@ -350,9 +351,9 @@ def print_look(found: Look) -> None:
         label = "note" if finding.verdict == "KEEP" else finding.verdict
         print_text(f"  {label}: {location} {finding.text}")
     for item in found.expected:
-        shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
+        shares = ", ".join(f"{name} {number_text(100 * share, 2)} %" for name, share in item.shares)
         text = (
-            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
+            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:.6g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
         print_text(f"  {text}")
 

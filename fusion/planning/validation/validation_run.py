@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from fusion.base import PROGRAM, __version__, round_to_uncertainty, versions
+from fusion.base import PROGRAM, __version__, versions
 from fusion.errors import InputError
 from fusion.planning.planning_notices import VALIDATION_OUTPUT
 from fusion.report.atomic_files import write_files, write_together
@@ -26,6 +26,7 @@ from fusion.report.folder import render_page
 from fusion.report.table import TableColumn, page_column, table
 from fusion.report.terminal import print_table, print_text
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import round_to_uncertainty
 
 if TYPE_CHECKING:
     from lxml import etree

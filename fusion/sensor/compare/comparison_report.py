@@ -15,21 +15,12 @@ from fusion.errors import InputError
 from fusion.report.figure import COLOURS, GREY, Figure, empty_figure, frequency_axis, padded_limits
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.table import (
-    TableColumn,
-    csv_text,
-    finite_or_none,
-    page_column,
-    quantity_html,
-    signed_text,
-    small,
-    table,
-    text_column,
-)
+from fusion.report.table import TableColumn, csv_text, finite_or_none, page_column, table, text_column
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
+from shakercal._common.digits import number_text, quantity_text, signed_text, small
 
 
 class ResultRow(NamedTuple):
@@ -134,7 +125,7 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
         reach = []
         for index, line in enumerate([lines[n] for n in chosen]):
             factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
-            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[index % len(COLOURS)]
+            label, colour = f"{number_text(line.frequency_hz, 5)} Hz", COLOURS[index % len(COLOURS)]
             dates = line.year + 0.006 * index * span
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
@@ -172,7 +163,7 @@ def _reference_text(found: ComparedQuantity) -> str:
     reference = found.reference
     if not reference.used.any():
         return "none, results are contradictory"
-    return quantity_html(reference.value, 2.0 * reference.u, found.unit)
+    return quantity_text(reference.value, 2.0 * reference.u, found.unit)
 
 
 def _left_out(found: ComparedQuantity) -> str:
@@ -193,7 +184,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     changes: list[TableColumn[ComparedQuantity]] = [
         *columns[:3],
-        page_column(DRIFT, lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
+        page_column(DRIFT, lambda f: quantity_text(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
     ]
     titles: dict[str, list[SharedInput]] = {}
     for item in evaluation.shared:
