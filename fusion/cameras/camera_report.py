@@ -167,12 +167,12 @@ def parameters_table(calibration: Calibration) -> Table | None:
     turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
     turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
 
-    def printed(item: CalibrationParameter) -> tuple[str, str, str, Markup]:
+    def printed(item: CalibrationParameter) -> tuple[str, str, str, str]:
         """Value, u and U with one power of ten, and their unit."""
         factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
         value, u = factor * float(turns.get(item.name, item.value)), factor * item.u
         text = round_to_uncertainty(value, 2.0 * u)
-        shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
+        shown = times_ten(text.exponent, unit) or "1"
         return text.value, round_to_uncertainty(value, u, text.exponent).expanded, text.expanded, shown
 
     def meaning(item: CalibrationParameter) -> str:

@@ -34,6 +34,7 @@ from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recording_results import RecordingResults, SensorFacts
 from fusion.campaign.repeats import RepeatMean, cached_mean_ratio, find_repeats, frequencies_text, repeat_notices
+from fusion.campaign.uncertainty_jumps import uncertainty_jumps
 from fusion.campaign.unknowns import JointUnknown, apply_joint_estimate
 from fusion.report.table import (
     Headline,
@@ -120,6 +121,7 @@ def evaluate_campaign(
     repeats = tuple(mean for mean in excitations if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += repeat_notices(repeats)
+    notices += uncertainty_jumps(corrected if sensor is not None else (), capacity, stated)
     single = len(excitations) - len(repeats)
     if single:
         notices.append(Notice(UNREPEATED_EXCITATIONS, "repeats", single=single, count=len(excitations)))

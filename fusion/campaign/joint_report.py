@@ -363,7 +363,7 @@ def _crosstalk_table(found: CrossTalk) -> Table:
         for j in range(len(found.components)):
             size, half_axis = 100.0 * float(abs(found.value[c, j])), 100.0 * float(found.half_axis[c, j])
             if found.main[c] == j:
-                cells.append("1")
+                cells.append("100")
             elif found.holds_zero[c, j]:
                 cells.append(Markup("&lt; {}").format(number_text(size + half_axis, 2)))
             else:

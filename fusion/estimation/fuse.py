@@ -66,7 +66,7 @@ from fusion.estimation.variance_components import EstimatedNoise, Scatter
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
-from shakercal._common.digits import number_text, round_to_uncertainty
+from shakercal._common.digits import number_text, round_to_uncertainty, signed_text
 from shakercal._common.notices import Notice, Value
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
@@ -470,7 +470,8 @@ def _ratio_text(test: Consistency) -> str:
         return ""
     mistake = likely_mistake(test.ratio)
     cause = f", as if {mistake}" if mistake else ""
-    return f" (reading/prediction {number_text(abs(test.ratio), 5)} at {np.angle(test.ratio):.5f} rad{cause})"
+    angle = signed_text(float(np.angle(test.ratio)), ".5f")
+    return f" (reading/prediction {number_text(abs(test.ratio), 5)} at {angle} rad{cause})"
 
 
 def _disagreement(

@@ -413,7 +413,7 @@ def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, 
 
 
 def power_of_ten(values: FloatArray) -> tuple[float, str]:
-    """Return a common power of ten of values, and its text before the unit; 1 and none if they need none."""
+    """Return a common power of ten of values, and its text before the unit."""
     exponent = exponent_of(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)))
     return (10.0**exponent, f"{power_text(exponent)} ") if exponent else (1.0, "")
 

@@ -36,7 +36,7 @@ from photogram.geometry import RigidTransform, displacement_jacobian
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
-from shakercal._common.digits import number_text, quantity_text
+from shakercal._common.digits import number_text, quantity_text, signed_text
 
 KINDS = {
     "load": ("load", ORANGE),
@@ -267,12 +267,12 @@ def _solid(part: MovingPart, body: str) -> SceneShape:
 
 def position_text(point_m: FloatArray) -> str:
     """Return a position in the sensor frame as text."""
-    return "(" + ", ".join(f"{1e3 * x + 0.0:.1f}" for x in point_m) + ") mm"
+    return "(" + ", ".join(signed_text(1e3 * x, ".1f") for x in point_m) + ") mm"
 
 
 def along(direction: FloatArray) -> str:
     """Return a direction as text."""
-    return "(" + ", ".join(f"{x + 0.0:.3f}" for x in direction) + ")"
+    return "(" + ", ".join(signed_text(x, ".3f") for x in direction) + ")"
 
 
 def _arrow(kind: str, name: str, description: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
@@ -538,7 +538,7 @@ def _amplitude_text(body: str, elements: Sequence[Polar | None], frequency_hz: f
     factor, letter = prefix(value.magnitude / square)
     size = quantity_text(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    text = f"{body} {axis}: {size} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
+    text = f"{body} {axis}: {size} at {signed_text(phase, '.1f')}° (k = {value.k_magnitude:.2f})"
     return text.replace("-", "\N{MINUS SIGN}")
 
 

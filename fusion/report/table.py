@@ -234,7 +234,7 @@ def polar_freedom(element: Polar) -> str:
 
 
 def half_axes(region: CoverageRegion, exponent: int | None = None) -> str:
-    """Return the half-axes of a region as text; `exponent`: a power of ten that the head names."""
+    """Return the half-axes of a region; `exponent`: power that the head names."""
     if not np.isfinite(region.half_axes[0]):
         return DASH
     large, small_axis = region.half_axes

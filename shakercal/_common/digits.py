@@ -20,7 +20,7 @@ POWER = re.compile(r"(?<=\d)e([+-]?)0*(\d+)")
 
 
 def exponent_of(size: float) -> int:
-    """Return the power of ten that a number of this size is printed with, 0 for none."""
+    """Return the power of ten for a number of this size, 0 for none."""
     size = abs(size)
     plain = not math.isfinite(size) or size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN
     return 0 if plain else math.floor(math.log10(size))
@@ -105,7 +105,7 @@ def quantity_text(value: float, expanded: float, unit: str = "") -> str:
 
 
 def scaled_text(value: float, expanded: float, exponent: int = 0) -> str:
-    """Return value and expanded uncertainty in units of a power of ten, which the head names."""
+    """Return value with U in units of a power of ten, which the head names."""
     return round_to_uncertainty(value, expanded, exponent).scaled
 
 
@@ -123,7 +123,7 @@ def number_text(value: float | None, digits: int = 3, unit: str = "") -> str:
 
 
 def signed_text(value: float, form: str = ".2f") -> str:
-    """Return a number of a form of `format` with a typographic minus sign, or a dash for NaN."""
+    """Return a number of a given form with typographic signs, a dash for NaN."""
     text = format(value + 0.0, form) if math.isfinite(value) else DASH
     return text.removeprefix("-") if not text.strip("-0.") else python_typeset(text)
 

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
-from shakercal._common.digits import python_number, python_typeset
-
 Severity = Literal["error", "warning", "note"]
 """`error`: refused. `warning`: the result may be wrong or U incomplete. `note`: good to know."""
 Value = str | int | float | bool
@@ -26,6 +24,8 @@ class _Formatter(string.Formatter):
     """`str.format` with typographic minus signs, powers of ten and spaces before %."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        from shakercal._common.digits import python_typeset  # imported late: a module less in every chain
+
         text = format(value, format_spec)
         text = text if isinstance(value, str) else python_typeset(text)
         return f"{text[:-1]} %" if format_spec.endswith("%") else text
@@ -232,6 +232,8 @@ def gather(groups: Sequence[tuple[str, Iterable[Notice]]]) -> list[GatheredNotic
 
 def _in_ranges(texts: Sequence[str]) -> str:
     """Return one text of several, with the smallest and largest of every number."""
+    from shakercal._common.digits import python_number
+
     words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
     ranges = []
     for numbers in columns:

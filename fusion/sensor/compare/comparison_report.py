@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 
 from fusion.errors import InputError
-from fusion.report.figure import COLOURS, GREY, Figure, empty_figure, frequency_axis, padded_limits
+from fusion.report.figure import COLOURS, GREY, RED, Figure, empty_figure, frequency_axis, padded_limits
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.table import TableColumn, csv_text, finite_or_none, page_column, table, text_column
+from fusion.report.table import Headline, TableColumn, csv_text, finite_or_none, page_column, table, text_column
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
@@ -86,6 +86,7 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
                 x = np.array([f.frequency_hz for f in of_result])
                 y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
                 panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
+        panel.rule([-1.0, 1.0], "limits ±1", colour=RED, dashed=True, width=1.0)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
@@ -211,8 +212,22 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     }
 
 
+def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
+    """Return whether the results agree, and the largest difference over its U."""
+    found = evaluation.quantities
+    above = sum(one.largest > 1.0 for one in found)
+    worst = max(found, key=lambda one: one.largest)
+    first, second = np.unravel_index(int(np.argmax(np.abs(worst.normalised))), worst.normalised.shape)
+    value = f"U covers all {len(found)} values" if not above else f"U does not cover {above} of {len(found)} values"
+    size = f"largest |E_n| of a pair {signed_text(worst.largest)}: {worst.names[first]} and {worst.names[second]}"
+    what = f"{worst.quantity} of {worst.channel} per {worst.component}, {worst.frequency_hz:.4f} Hz"
+    return [Headline("Results agree" if not above else "Results differ", value, f"{size}, {what}")]
+
+
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
     """Yield the printed lines."""
+    for line in verdict(evaluation):
+        yield f"{line.label}: {line.value} ({line.remark})"
     for quantity in ("magnitude", "phase"):
         of_quantity = [found for found in evaluation.quantities if found.quantity == quantity]
         if of_quantity:
@@ -245,6 +260,7 @@ COMPARE = CommandReport(
     _fill,
     _context,
     printed,
+    headlines=verdict,
 )
 
 
