@@ -26,7 +26,7 @@ from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.sine_fit import fit_sines
 from shakercal._common.arrays import FloatArray
-from shakercal._common.digits import number_text, round_to_uncertainty
+from shakercal._common.digits import number_text, quantity_text, scaled_text
 from shakercal._common.notices import Notice
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
@@ -243,18 +243,15 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
 def _cells(item: ChannelLines, entry: LineEntry) -> dict[str, str]:
     """Return the cells of a line by the heads of their columns."""
     best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
-    size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-    aliases = {f"{name} / Hz": f"{alias:.4f}" for (name, _), alias in zip(item.cameras, entry.alias_hz, strict=True)}
+    size = quantity_text(float(entry.amplitude[best]), K2 * float(entry.u_amplitude[best]), item.units[best])
+    aliases = {
+        f"seen by {name} at / Hz": f"{alias:.4f}" for (name, _), alias in zip(item.cameras, entry.alias_hz, strict=True)
+    }
     return {
-        "frequency / Hz": _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
+        "frequency / Hz": scaled_text(entry.frequency_hz, K2 * entry.u_frequency_hz),
         **aliases,
-        "amplitude": f"{size} {item.units[best]}".strip(),
+        "amplitude": size,
         **({"in channel": item.channels[best]} if len(item.channels) > 1 else {}),
         "dB": f"{entry.floor_db:.0f}",
         WHY: f"{entry.use}: {entry.what}" if entry.use else entry.what,
     }
-
-
-def _with_u(value: float, u: float, exponent: int | None = None) -> str:
-    """Return a number with its expanded uncertainty."""
-    return round_to_uncertainty(value, K2 * u, exponent).text

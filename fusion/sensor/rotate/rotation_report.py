@@ -43,7 +43,15 @@ from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, UNDETERMINED_SOUR
 from shaker.static_rotation.orientations import OrientationFit
 from shaker.static_rotation.weight_model import FORCES
 from shakercal._common.arrays import FloatArray
-from shakercal._common.digits import DASH, number_text, quantity_text, signed_text, small, typeset
+from shakercal._common.digits import (
+    DASH,
+    quantity_text,
+    round_to_uncertainty,
+    scaled_text,
+    signed_text,
+    small,
+    typeset,
+)
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -315,20 +323,24 @@ def harmonics_table(evaluation: RotationEvaluation, recording: RotationRecording
     """Return the terms of some load components with U, small amplitudes as bounds."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
+
+    def bound(size: float) -> str:
+        return round_to_uncertainty(size, size, 0).expanded
+
     offsets = [q for q in evaluation.quantities if (q.name, q.recording) == ("offset", recording.name)]
     for q in (*offsets, *_terms(recording)):
         if q.component in components:
             bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
-            cell = f"< {number_text(q.expanded, 2)}" if bound_only else quantity_text(q.value, q.expanded)
+            cell = f"< {bound(q.expanded)}" if bound_only else scaled_text(q.value, q.expanded)
             rows.setdefault(capitalise(q.label), []).append(cell)
     calibration = recording.inverse[indices]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
-    rows["Scatter s of a reading"] = [number_text(float(s), 2) for s in scatter]
+    rows["Scatter s of a reading"] = [bound(float(s)) for s in scatter]
     back = np.zeros((0, len(components)))
     if isinstance(fit, AngleFit):
         back = np.abs(fit.reversal().difference @ calibration.T)
     if len(back):
-        rows["Largest difference forward less back"] = [number_text(float(value), 2) for value in back.max(axis=0)]
+        rows["Largest difference forward less back"] = [bound(float(value)) for value in back.max(axis=0)]
     heads = [over_unit(component, typeset(LOAD_UNITS[indices[0]])) for component in components]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
     if isinstance(fit, OrientationFit):

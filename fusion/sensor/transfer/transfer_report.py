@@ -42,7 +42,7 @@ from fusion.sensor.transfer.transfer_records import (
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, NOT_ASSESSED, stated_influences
 from shaker.frf.result import TransferFunction
 from shakercal._common.arrays import FloatArray
-from shakercal._common.digits import number_text, quantity_text, small, typeset
+from shakercal._common.digits import number_text, quantity_text, scaled_text, small, typeset
 
 LARGEST_PERCENT = 100.0
 REJECTED = "model refuted by the data"
@@ -256,7 +256,7 @@ CHANNELS: list[TableColumn[tuple[str, ChannelEntry]]] = [
     page_column("u(scale) / %", lambda row: number_text(100.0 * row[1].scale_uncertainty, 6)),
     page_column(
         "delay ± u / µs",
-        lambda row: f"{number_text(1e6 * row[1].delay, 6)} ± {number_text(1e6 * row[1].delay_uncertainty, 6)}",
+        lambda row: scaled_text(1e6 * row[1].delay, 1e6 * row[1].delay_uncertainty),
     ),
     page_column("corrected response", lambda row: row[1].response.name if row[1].response else "none stated", "l"),
 ]
