@@ -172,11 +172,11 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     print(_of_poses(calibration, pairs, "pairs"), end=", ")
     print(f"rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"target {number_text(min(distances))} to {number_text(max(distances))} m from the left camera")
-    print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
-    print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
+    print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u, 'mm')}", end=", ")
+    print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u), '°')} (U: k = 2)")
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
-            print(f"{item.name} {quantity_text(item.value, 2 * item.u)} px")
+            print(f"{item.name} {quantity_text(item.value, 2 * item.u, 'px')}")
     _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
@@ -232,7 +232,7 @@ def run_camera(
         write_camera(output, calibration)
     print(f"{_of_poses(calibration, len(calibration.views), 'views')}, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
-        print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u)} {item.unit}")
+        print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u, item.unit)}")
     _print_remarks(calibration)
     print(f"calibration: {output}")
 

@@ -460,4 +460,5 @@ def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
         return values, list(map(number_text, values.tolist()))
     stride = -(-(last - first + 1) // MOST_DECADES)
     powers = range(first + (-first) % stride, last + 1, stride)
-    return 10.0 ** np.array(powers, dtype=np.float64), [power_text(power) for power in powers]
+    values = 10.0 ** np.array(powers, dtype=np.float64)
+    return values, list(map(power_text, powers) if any(map(exponent_of, values)) else map(number_text, values.tolist()))

@@ -179,7 +179,9 @@ def certificate(inputs: Inputs) -> dict[str, float]:
             f"region factor of {dof:g}": float(region_factor(dof)),
         }
     stated = polar(complex(*inputs["value"]), np.array(inputs["covariance"]))
-    texts = sum(round_to_uncertainty(value, expanded).text == text for value, expanded, text in inputs["rounding"])
+    texts = sum(
+        f"({round_to_uncertainty(value, expanded).scaled})" == text for value, expanded, text in inputs["rounding"]
+    )
     return found | {
         "magnitude": stated.magnitude,
         "phase": stated.phase_rad,

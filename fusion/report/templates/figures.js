@@ -38,13 +38,13 @@
     return exponent ? `(${body})${tens}` : body;
   }
 
-  /* Ticks with the decimals that distinguish them, over a power of ten; on a logarithmic axis as powers of ten. */
+  /* Ticks with the decimals that distinguish them, over a power of ten; very large or small decades as powers of ten. */
   function ticked(exponent, log = false) {
     const made = new Bokeh.BasicTickFormatter();
     made.doFormat = (ticks) => {
       const values = Array.from(ticks, (tick) => tick / 10 ** exponent), sorted = values.toSorted((a, b) => a - b);
       if (log) {
-        const decades = values.every((v) => v > 0 && Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9) && sorted.at(-1) >= 99 * sorted[0];
+        const decades = values.every((v) => v > 0 && Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9) && values.some((v) => power(v));
         return values.map((v) => (decades ? raised(Math.round(Math.log10(v))) : told(v, NaN, 3)));
       }
       const step = Math.min(...sorted.slice(1).map((v, k) => v - sorted[k]), ...(sorted.length > 1 ? [] : [Math.abs(sorted[0] ?? 1)]));

@@ -64,7 +64,7 @@ from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
-from shakercal._common.digits import DASH, number_text, quantity_text, round_to_uncertainty, signed_text
+from shakercal._common.digits import DASH, number_text, quantity_text, signed_text
 
 JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
 HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
@@ -286,11 +286,7 @@ def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
         return "no end" if value is not None else "none" if plain else DASH
     scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
     expanded = 0.0 if u is None else scale * u
-    if plain:
-        return f"{round_to_uncertainty(scale * value, expanded).text} {unit}".strip()
-    return (
-        f"{number_text(scale * value, 5)} {unit}".strip() if u is None else quantity_text(scale * value, expanded, unit)
-    )
+    return quantity_text(scale * value, expanded, unit)
 
 
 def index_table(made: LoadFilter) -> Table | None:

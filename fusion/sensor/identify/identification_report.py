@@ -266,11 +266,10 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield "  model refuted by the data: values without U"
         estimates = [*fit.reported.estimates, *fit.reported.derived]
         for estimate in [*estimates, *(e for e in component.sensitivity_estimates if e.name != "spring_time_s")]:
-            text = round_to_uncertainty(estimate.value, K * estimate.u).text
-            yield f"  {estimate.label}: {text} {typeset(estimate.unit)}"
+            yield f"  {estimate.label}: {quantity_text(estimate.value, K * estimate.u, estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
-            limit = quantity_text(band.upper_hz, K * band.u_upper_hz)
-            yield f"  usable up to ({band.permitted:.2%}, load {number_text(load, 6)}): {limit} Hz"
+            limit = quantity_text(band.upper_hz, K * band.u_upper_hz, "Hz")
+            yield f"  usable up to ({band.permitted:.2%}, load {number_text(load, 6)}): {limit}"
 
 
 def _in_microseconds(estimate: ParameterEstimate) -> Markup:

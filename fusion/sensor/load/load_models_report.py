@@ -41,7 +41,7 @@ from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_t
 from fusion.sensor.unmodelled_effects import budget_table
 from shaker.release.load_model import PARAMETERS, LoadCurve
 from shakercal._common.arrays import FloatArray
-from shakercal._common.digits import DASH, number_text, quantity_text, round_to_uncertainty, signed_text, typeset
+from shakercal._common.digits import DASH, number_text, quantity_text, signed_text, typeset
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
 LABELS = {
@@ -422,20 +422,20 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
         for solution in component.solutions:
             numbers = []
             for _, one, _ in parameters(component, solution):
-                rounded = round_to_uncertainty(one.value, one.expanded).text
-                numbers.append(f"{one.label.rpartition(' ')[2]} = {rounded} {typeset(one.unit)}")
+                size = quantity_text(one.value, one.expanded, one.unit)
+                numbers.append(f"{one.label.rpartition(' ')[2]} = {size}")
             which, scope = f"{_structure(solution)}{_which(solution)}", component.series.influences.scope
             yield f"{component.name} ({which}): {', '.join(numbers)}; U {scope}"
             for row in (row for row in load_rows(component, solution) if row.kind != DRAWN):
                 model, named = row.model_hz(0), row.recording or row.kind
-                line = f"  {named}: load {row.mass_text} {small}, resonance {round_to_uncertainty(*model).text} Hz"
+                line = f"  {named}: load {row.mass_text} {small}, resonance {quantity_text(*model, 'Hz')}"
                 if row.kind == RECORDED:
                     seen, _ = row.measured_hz(0)
                     line += f", measured {number_text(seen, 6)} Hz ({_percent(model[0] / seen - 1.0)} %)"
                 yield line
             for limit in solution.limits:
-                mass = round_to_uncertainty(GRAM * limit.value, GRAM * limit.expanded).text
-                yield f"  {limit.label}: {f'load up to {mass} {small}' if np.isfinite(limit.value) else NO_LIMIT}"
+                mass = quantity_text(GRAM * limit.value, GRAM * limit.expanded, small)
+                yield f"  {limit.label}: {f'load up to {mass}' if np.isfinite(limit.value) else NO_LIMIT}"
 
 
 def _structure(solution: LoadSolution) -> str:
