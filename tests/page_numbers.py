@@ -10,6 +10,8 @@ VERBATIM = ("Settings", "Versions", "Input files", "Inputs", "not as installed")
 """Captions of tables whose cells are quoted from files or programs."""
 PYTHON = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?e[+-]?\d+\b")
 HYPHEN = re.compile(r"(?<![\w.–…/)\]:-])-\d+\.?\d*(?![\w-])")
+PLACE = re.compile(r" at \([-0-9., ]+\)")
+"""Place in the name of an unknown, as the manifest states it."""
 WITH_U = re.compile(r"([−-]?\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)")
 POWER = re.compile(r" × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 ROUNDED = re.compile(r"\(?−?\d+\.\d+(?: ± \d+(?:\.\d+)?)?\)?(?: × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
@@ -85,7 +87,8 @@ def number_faults(page: str) -> list[str]:
 def _of_text(text: str) -> list[str]:
     """Return faults of notation, and values that do not end where their U does."""
     faults = [f"Python's notation in “{text.strip()[:80]}”" for _ in PYTHON.findall(text)]
-    faults += [f"hyphen for a minus in “{text.strip()[:80]}”" for _ in HYPHEN.findall(text)]
+    without_places = PLACE.sub("", text)
+    faults += [f"hyphen for a minus in “{text.strip()[:80]}”" for _ in HYPHEN.findall(without_places)]
     for value, expanded in WITH_U.findall(text):
         digits = expanded.replace(".", "").lstrip("0").rstrip("0" if "." not in expanded else "")
         places = [len(one.partition(".")[2]) for one in (value, expanded)]

@@ -312,7 +312,7 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     if full > SATURATED:
         verdict: Verdict = "REPEAT" if full > MUCH_SATURATED else "CHECK"
         levels = {"level": limit, "full_scale": images.full_scale}
-        picture = mark_image(first, "first frame, outlined: saturated pixels", area & (first >= limit))
+        picture = mark_image(first, "first frame, red: saturated pixels", area & (first >= limit), filled=True)
         found.append(Finding(verdict, Notice(OVEREXPOSED, where, share_percent=100 * full, **levels), picture))
     if float(inside.std()) < MIN_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale

@@ -30,10 +30,13 @@ class ProblemPicture:
     caption: str
 
 
-def mark_image(image: GreyImage, caption: str, problem: BoolArray | None = None, *, full: int = 0) -> ProblemPicture:
+def mark_image(
+    image: GreyImage, caption: str, problem: BoolArray | None = None, *, full: int = 0, filled: bool = False
+) -> ProblemPicture:
     """Return an image (H, W), reduced, with its problem outlined.
 
-    Without these the whole image is outlined. `full`: grey value that is shown white, by default the brightest one.
+    `problem` (H, W): its pixels, `filled`: whether they are also coloured; without these the whole image is outlined.
+    `full`: grey value that is shown white, by default the brightest one.
     """
     import cv2
 
@@ -46,6 +49,8 @@ def mark_image(image: GreyImage, caption: str, problem: BoolArray | None = None,
         cv2.rectangle(shown, (1, 1), (size[0] - 2, size[1] - 2), OUTLINE_BGR, 3)
     else:
         share = cv2.resize(problem.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        if filled:
+            shown[share > 0.5] = OUTLINE_BGR
         patch = cv2.dilate((share > 0.0).astype(np.uint8), np.ones((LEAST_SHOWN_PX, LEAST_SHOWN_PX), np.uint8))
         outlines, _ = cv2.findContours(patch, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(shown, outlines, -1, OUTLINE_BGR, 2)

@@ -412,16 +412,16 @@ def _element_table(element: CertifiedElement) -> Table | None:
     unit = sensitivity_unit(element.unit, element.component)
     exponent = common_exponent(np.array([complex(value.element.re, value.element.im) for value in element.values]))
 
-    def magnitude(value: CertifiedValue) -> Markup:
+    def magnitude(value: CertifiedValue) -> str:
         polar = value.element
         if polar.region.holds_zero:
             return half_axes(polar.region, exponent)
         return scaled_text(polar.magnitude, value.expanded_magnitude, exponent)
 
-    def phase(value: CertifiedValue) -> Markup:
+    def phase(value: CertifiedValue) -> str:
         if value.has_phase:
             return quantity_text(value.element.phase_rad, value.expanded_phase_rad)
-        return Markup(WEAK if value.element.region.holds_zero else DASH)
+        return WEAK if value.element.region.holds_zero else DASH
 
     def factors(value: CertifiedValue) -> str:
         if value.element.region.holds_zero:

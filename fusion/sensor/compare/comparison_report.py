@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from datetime import date as Date
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -87,6 +88,9 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
                 y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
                 panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
         panel.rule([-1.0, 1.0], "limits ±1", colour=RED, dashed=True, width=1.0)
+        normalised = [found.reference.normalised for found in of_quantity]
+        reach = float(np.nanmax(np.abs(np.concatenate([[1.0], *normalised]))))
+        panel.y.limits = (-1.15 * reach, 1.15 * reach)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
@@ -217,7 +221,8 @@ def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
     found = evaluation.quantities
     above = sum(one.largest > 1.0 for one in found)
     worst = max(found, key=lambda one: one.largest)
-    first, second = np.unravel_index(int(np.argmax(np.abs(worst.normalised))), worst.normalised.shape)
+    pairs = list(combinations(range(len(worst.names)), 2))
+    first, second = max(pairs, key=lambda pair: abs(float(worst.normalised[pair])))
     value = f"U covers all {len(found)} values" if not above else f"U does not cover {above} of {len(found)} values"
     size = f"largest |E_n| of a pair {signed_text(worst.largest)}: {worst.names[first]} and {worst.names[second]}"
     what = f"{worst.quantity} of {worst.channel} per {worst.component}, {worst.frequency_hz:.4f} Hz"

@@ -272,7 +272,7 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield f"  usable up to ({band.permitted:.2%}, load {number_text(load, 6)}): {limit}"
 
 
-def _in_microseconds(estimate: ParameterEstimate) -> Markup:
+def _in_microseconds(estimate: ParameterEstimate) -> str:
     """Return a value with U and unit; times in µs."""
     scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
     return quantity_text(scale * estimate.value, scale * K * estimate.u, unit)
