@@ -19,6 +19,7 @@ from shakercal._common.digits import (
     signed_text,
     tick_texts,
 )
+from shakercal._common.notices import DeclaredNotice, Notice, gather
 
 SIZES = st.floats(-12.0, 12.0).map(lambda power: 10.0**power)
 VALUES = st.builds(lambda size, sign: sign * size, SIZES, st.sampled_from([-1.0, 1.0]))
@@ -46,7 +47,7 @@ def test_value_and_u_end_at_the_same_place_of_which_u_has_two_digits(value: floa
 @given(VALUES)
 def test_powers_of_ten_are_named_outside_a_range_and_mantissas_have_one_digit_before_the_point(value: float) -> None:
     exponent = exponent_of(value)
-    assert (exponent == 0) == (1e-3 <= abs(value) < 1e5) or exponent in (-3, 0)
+    assert (exponent == 0) == (1e-3 <= abs(value) < 1e6) or exponent in (-3, 0)
     assert exponent == 0 or 0.999999 <= abs(value) / 10.0**exponent < 10.000001
 
 
@@ -86,7 +87,14 @@ def test_a_complex_value_has_no_order_and_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
-    [(9.97e-5, 2, "1 × 10⁻⁴"), (-502.0, 2, "−500"), (99_999.9, 3, "1 × 10⁵"), (0.0, 3, "0"), (1470.0, 3, "1470")],
+    [
+        (9.97e-5, 2, "1 × 10⁻⁴"),
+        (-502.0, 2, "−500"),
+        (99_999.9, 3, "100000"),
+        (999_999.9, 3, "1 × 10⁶"),
+        (0.0, 3, "0"),
+        (1470.0, 3, "1470"),
+    ],
 )
 def test_numbers_without_u(value: float, digits: int, text: str) -> None:
     assert number_text(value, digits) == text
@@ -101,3 +109,12 @@ def test_columns_name_the_power_in_their_head() -> None:
 def test_ticks_have_as_many_decimals_as_distinguish_them() -> None:
     assert tick_texts([-0.5, 0.0, 0.5]) == ["−0.5", "0.0", "0.5"]
     assert tick_texts([0.0, 0.25, 0.5]) == ["0.00", "0.25", "0.50"]
+
+
+def test_notices_print_numbers_by_the_same_rule() -> None:
+    template = "{a:.4g} ± {b:.1g} Hz, {a:.3g} Hz, {b:.2g}, {c:.2g} rad, {share:.2%}, {n}."
+    declared = DeclaredNotice("SC-999", "note", template)
+    notice = Notice(declared, "", a=9187.3, b=4960.0, c=-3.2e-7, share=0.051, n=3)
+    assert notice.text == "(9200 ± 5000) Hz, 9190 Hz, 5000, −3.2 × 10⁻⁷ rad, 5.10 %, 3."
+    gathered = gather([("x", [notice]), ("y", [Notice(declared, "", a=20_000.0, b=50.0, c=-3.2e-8, share=0.051, n=3)])])
+    assert "−3.2 × 10⁻⁷ to −3.2 × 10⁻⁸ rad" in gathered[0].text

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 DASH, MINUS = "–", "\N{MINUS SIGN}"
-SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
+SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e6
 """Sizes from the first and below the second are printed without a power of ten (`figures.js` has the same two)."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLAIN_DIGITS = {ord(raised): plain for raised, plain in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)}

@@ -132,7 +132,7 @@ def test_tables_become_a_page_and_a_table(tmp_path) -> None:
     text = "".join(self_contained(page).text)
     assert "Results agree" in text
     assert "U covers all 2 values" in text
-    assert "largest |E_n| of a pair 0.71: one and two, magnitude of Fz per Fz, 80.0000 Hz" in text
+    assert "largest |E_n| of a pair 0.71: one and two, magnitude of Fz per Fz, 80.0050 Hz" in text
     (unmatched,) = (notice for notice in notices_of(out) if notice.code == raised.UNMATCHED_VALUES.code)
     assert unmatched.values == {"count": 2}
 

@@ -22,7 +22,7 @@
   }
 
   /* Numbers by the rule of shakercal/_common/digits.py; a test compares both. */
-  const [SMALLEST_PLAIN, LARGEST_PLAIN] = [1e-3, 1e5], RAISED = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹";
+  const [SMALLEST_PLAIN, LARGEST_PLAIN] = [1e-3, 1e6], RAISED = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹";
   const power = (size) => (size === 0 || !Number.isFinite(size) || (SMALLEST_PLAIN <= size && size < LARGEST_PLAIN) ? 0 : Math.floor(Math.log10(size)));
   const raised = (exponent) => "10" + String(exponent).replace(/[-\d]/g, (sign) => RAISED["-0123456789".indexOf(sign)]);
   const signed = (text) => (/^-[0.]*$/.test(text) ? text.slice(1) : text.replace("-", "−"));

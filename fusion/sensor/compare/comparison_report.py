@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
+from fusion.base import count_text
 from fusion.errors import InputError
 from fusion.report.figure import COLOURS, GREY, RED, Figure, empty_figure, frequency_axis, padded_limits
 from fusion.report.folder import CommandReport, hash_files
@@ -239,7 +240,7 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
             above = sum(found.largest > 1.0 for found in of_quantity)
             left = sum(not found.reference.used.all() for found in of_quantity)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
-            yield f"{quantity}: {len(of_quantity)} values compared, {counts}"
+            yield f"{quantity}: {count_text(len(of_quantity), 'value')} compared, {counts}"
     if evaluation.shared:
         yield f"shared inputs: {'; '.join(list_titles(evaluation.shared))}"
     if evaluation.unmatched:

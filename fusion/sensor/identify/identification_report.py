@@ -269,7 +269,8 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield f"  {estimate.label}: {quantity_text(estimate.value, K * estimate.u, estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
             limit = quantity_text(band.upper_hz, K * band.u_upper_hz, "Hz")
-            yield f"  usable up to ({band.permitted:.2%}, load {number_text(load, 6)}): {limit}"
+            loaded = f"load {number_text(load, 6)} {mass_unit(component.fit.component)}"
+            yield f"  usable up to (±{number_text(100.0 * band.permitted)} %, {loaded}): {limit}"
 
 
 def _in_microseconds(estimate: ParameterEstimate) -> str:
