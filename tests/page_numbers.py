@@ -106,7 +106,11 @@ def _of_columns(table: PageTable) -> list[str]:
         cells = [row[index] for row in rows if index < len(row)]
         measured = [cell for cell in cells if ROUNDED.fullmatch(cell)]
         says = (
-            " / " in name or "(" in name or " in " in table.caption or "%" in table.caption or bool(PURE.search(name))
+            " / " in name + table.caption
+            or "(" in name
+            or " in " in table.caption
+            or "%" in table.caption
+            or bool(PURE.search(name))
         )
         if measured and name and not says and not by_row and len(measured) == len([c for c in cells if c not in "–"]):
             faults.append(f"no unit in the head “{name}” of {measured[0]}")

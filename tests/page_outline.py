@@ -57,6 +57,7 @@ def self_contained(page: str) -> Outline:
     assert anchors <= set(found.ids)
     others = [address for address in found.addresses if not address.startswith("#")]
     assert all(address.startswith("data:image/svg+xml") for address in others)
-    assert number_faults(page) == []
+    faults = number_faults(page)
+    assert not faults, "\n".join(faults)
     assert not re.search(r"url\((?!%23)|@import", re.sub(r"(?s)<script.*?</script>", "", page))
     return found

@@ -210,8 +210,8 @@ def draw_motion(stereo: StereoResult) -> Figure:
     curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
     drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
-        pose = stereo.motion_from_mean.pose[:, component]
-        factor, letter = prefix(pose)
+        poses = stereo.motion_from_mean.pose
+        pose, (factor, letter) = poses[:, component], prefix(poses[:, :3] if component < 3 else poses[:, 3:])
         left.line(fine, curve[:, component] / factor, **FITTED)
         left.points(stereo.time_s, pose / factor, **MEASURED)
         left.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
