@@ -449,14 +449,21 @@ def transfer(options: argparse.Namespace) -> None:
 def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE.uff", help="file to write")
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help="file to write")
+    parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
     parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
     parser.switch("--force", "overwrite a file that is there")
 
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411)."""
+    """Export results or channels as a universal file (UFF), or inputs as CSV."""
+    if options.inputs:
+        from fusion.report.traceability import export_inputs
+
+        count = export_inputs(options.results, options.output, force=options.force)
+        print(f"table written: {options.output} ({count} rows)")
+        return
     from fusion.report.universal_export import export_universal
 
     made = export_universal(options.results, options.output, text=options.text, force=options.force)

@@ -50,8 +50,9 @@ from fusion.report.result_figures import (
     trigger_figures,
 )
 from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, text_column
+from fusion.report.traceability import trace_inputs, traceability
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
-from fusion.sensitivity.input_evidence import find_evidence
+from fusion.sensitivity.input_evidence import InputEvidence, find_evidence
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
@@ -230,10 +231,30 @@ def render_report(evaluation: Evaluation) -> str:
         "supports": tables.supports_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
         "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
+        **_traceability(evaluation),
         **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
     return render_page("report.html", context)
+
+
+def _evidence(evaluation: Evaluation) -> tuple[InputEvidence, ...]:
+    """Return the sources of the inputs of all results."""
+    parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
+    influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
+    return find_evidence(evaluation.manifest, influences, evaluation.input_hashes)
+
+
+def _traceability(evaluation: Evaluation) -> dict[str, Any]:
+    """Return inputs of the main result, and the recalibration that pays most."""
+    main = tables.main_result(evaluation)
+    if main is None:
+        return {}
+    found, index = main
+    labelled = found.labelled()
+    uncertainty = labelled.uncertainty.at([index])
+    inputs = trace_inputs(labelled.value[:, [index]], uncertainty, _evidence(evaluation))
+    return traceability(inputs, labelled.elements[index])
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -334,10 +355,7 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["mounting"] = manifest.mounting
         if manifest.date is not None:
             file.attrs["date"] = manifest.date.isoformat()
-        parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
-        influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
-        evidence = find_evidence(manifest, influences, evaluation.input_hashes)
-        if evidence:
+        if evidence := _evidence(evaluation):
             write_value(file, EVIDENCE, evidence)
         driven = file.create_group("excitation")
         for name in ("kind", "direction", "frequencies"):
