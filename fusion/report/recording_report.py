@@ -249,7 +249,7 @@ def _traceability(evaluation: Evaluation) -> dict[str, Any]:
     """Return inputs of the main result, and the recalibration that pays most."""
     main = tables.main_result(evaluation)
     if main is None:
-        return {}
+        return {"traceability": None}
     found, index = main
     labelled = found.labelled()
     uncertainty = labelled.uncertainty.at([index])

@@ -345,8 +345,8 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     # Blocks have separate clocks: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for index, channel in enumerate(channels):
-        alike = [one.excerpt for one in channels if one.unit == channel.unit]
-        scale = _shown_unit(np.concatenate(alike), channel.unit)
+        excerpts = [one.excerpt for one in channels if one.unit == channel.unit]
+        scale = _shown_unit(np.concatenate(excerpts), channel.unit)
         _draw_excerpt(drawn.panels[2 * index], channel, exposures, scale)
         _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz, scale)
         drawn.panels[2 * index].x.label, drawn.panels[2 * index + 1].x.label = "time / s", "frequency / Hz"
@@ -379,7 +379,7 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
 
 
 def _shown_unit(values: FloatArray, unit: str) -> tuple[float, str]:
-    """Return a factor and its text before the unit: a prefix, or a power of ten for units without one."""
+    """Return factor and text before the unit: a prefix or a power of ten."""
     return prefix(values) if unit in PREFIXED else power_of_ten(values)
 
 

@@ -459,8 +459,8 @@ def channels_table(evaluation: Evaluation) -> Table | None:
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
         element = polar(value, channel.phasors.covariance[line], float(channel.phasors.dof[line]))
-        alike = [abs(one.phasors.value[line, 0]) for one in evaluation.channels if one.unit == channel.unit]
-        factor, letter = prefix(np.array(alike)) if channel.unit in PREFIXED else (1.0, "")
+        amplitudes = [abs(one.phasors.value[line, 0]) for one in evaluation.channels if one.unit == channel.unit]
+        factor, letter = prefix(np.array(amplitudes)) if channel.unit in PREFIXED else (1.0, "")
         amplitude = quantity_text(
             element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit
         )

@@ -39,7 +39,7 @@ class _Formatter(string.Formatter):
 
 
 def fill_template(template: str, values: Mapping[str, Value]) -> str:
-    """Return a template with its values; a value with its uncertainty ends at the place of this one."""
+    """Return a template with its values, which end where their uncertainty does."""
     from shakercal._common.digits import round_to_uncertainty
 
     def with_uncertainty(found: re.Match[str]) -> str:
