@@ -320,7 +320,7 @@ def test_the_light_is_the_status_and_a_page(campaign, capsys):
     assert told.startswith("RED   Fz 80.0 Hz, simulated\nREPEAT: ")
     assert f"CHECK: {AIM_MISSED.code} " in told
     text = page.read_text(encoding="utf-8")
-    assert '<header class="light wrong">\n<strong class="lit">REPEAT</strong>' in text
+    assert '<header class="light wrong">\n<strong class="lit" style="--letters: 6">REPEAT</strong>' in text
     assert "clipped" in text
     assert re.search(r"last look <time>\d\d:\d\d:\d\d</time>", text)
     assert text.count('src="data:image/svg+xml;base64') == 1  # the clipped part of the trace
