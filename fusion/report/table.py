@@ -240,8 +240,8 @@ def half_axes(region: CoverageRegion, exponent: int | None = None) -> str:
     large, small_axis = region.half_axes
     first = round_to_uncertainty(large, large, exponent)
     second = round_to_uncertainty(small_axis, large, first.exponent)
-    power = f" × {power_text(first.exponent)}" if exponent is None and first.exponent else ""
-    return f"region ± {first.value}, ± {second.value}{power}"
+    text = f"region ± {first.value}, ± {second.value}"
+    return f"({text}) × {power_text(first.exponent)}" if exponent is None and first.exponent else text
 
 
 def factor_text(value: float) -> str:
