@@ -22,7 +22,8 @@ from photogram.images.image_files import open_sequence, read_image
 from photogram.images.sequence import wrap_read_errors
 from photogram.point_tables import read_matrix, read_point_tables
 from shaker.io import read_channels
-from shaker.io.text import read_scan_asc, read_table_columns, table_units
+from shaker.io.table import read_table_columns, table_units
+from shaker.io.text import read_scan_asc
 from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 RNG = np.random.default_rng(0)

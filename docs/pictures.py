@@ -18,6 +18,7 @@ from fusion.cli import main
 IMAGES = Path(__file__).resolve().parent / "images"
 WIDTH = 1200
 PICTURES = {
+    "fields": ("demo", ".fields .controls", ".fields figure:last-of-type"),
     "campaign": ("matrix", "header", "#sensitivity figure"),
     "step": ("steps", "#figure-step-Fz", "#figure-bode-Fz"),
     "compensate": ("compensate", "figure", "figure"),

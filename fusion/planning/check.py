@@ -256,7 +256,7 @@ def check_together(manifests: Sequence[Manifest]) -> list[str]:
 
 def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:
     """Return contents and problems of a recording with a table of readings."""
-    from shaker.io.text import table_units
+    from shaker.io.table import table_units
 
     text, problems = f"table {path.name}, {_size([path])}", []
     try:

@@ -122,3 +122,11 @@ BOKEH_MISSING = DeclaredNotice(
     remedy="Install it by `pip install bokeh`.",
     link="view.md",
 )
+UNUSED_ANSWER = DeclaredNotice(
+    "SC-955",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Nothing is written.",
+    remedy="Correct the key of the file of `--answers`; `shakercal init` without it shows the keys.",
+    link="drafting.md#questions-and-answers",
+)

@@ -20,7 +20,9 @@ from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.certified import CertifiedInputs, resolve_certificates
 from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
+from fusion.recording.instruments import complete_channels, without_defaults
 from fusion.recording.manifest import (
+    KEYS,
     Daq,
     Images,
     PointFiles,
@@ -334,6 +336,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
             raise InputError(PATH_NOT_ALLOWED, path, "rig", found=f'"{text["rig"]}"', expected=expected)
         at_first[rig_path.resolve()] = FileIdentity.of(rig_path)
         rig_text = read_toml(rig_path)
+        text, libraries = complete_channels(text, path, rig_path, KEYS)
     except InputError as error:
         raise InputError.together([error, *_without_rig(path, text)]) from error
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
@@ -348,7 +351,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in overridden)
     )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
-    files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
+    files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates, *libraries)))
     check_names(files)
     seen = {file: FileIdentity.of(file) for file in files} | certificates | at_first
     return Manifest(
@@ -371,12 +374,17 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         operator=record.operator,
         procedure=record.procedure,
         acknowledged=(*rig.acknowledged, *record.acknowledged),
-        inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
+        inputs=(*of_rig, *_own_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(
             dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)
         ),
         file_identities={file: identity for file, identity in seen.items() if identity is not None},
     )
+
+
+def _own_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
+    """Return the inputs of a recording with an uncertainty, those of defaults by their channels."""
+    return tuple(uncertain_inputs(without_defaults(text), path))
 
 
 def _certificates(

@@ -14,6 +14,7 @@ from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import KINDS, ExcitationEntry
+from fusion.recording.instruments import ChannelDefaults
 from fusion.recording.recording_notices import (
     CONTRADICTING_VALUES,
     FRAMES_DO_NOT_MATCH,
@@ -197,6 +198,7 @@ class ChannelEntry(ManifestBlock):
 
     name: Text
     in_file: Text | None = None
+    instrument: Text | None = None
     quantity: Quantity
     body: Literal["load", "base", "room", "head"] | None = None
     point: Position | None = None
@@ -223,6 +225,7 @@ class ChannelEntry(ManifestBlock):
     ANY: ClassVar[tuple[str, ...]] = (
         "name",
         "in_file",
+        "instrument",
         "quantity",
         "delay",
         "delay_uncertainty",
@@ -262,14 +265,7 @@ class ChannelEntry(ManifestBlock):
                 raise refusal(expected, "the same", key="point", declared=CONTRADICTING_VALUES)
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
-        applicable = {*self.ANY, *self.TRIGGER}
-        if self.quantity != "trigger":
-            applicable = {
-                *self.ANY,
-                *self.VALUE,
-                *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACEMENT),
-            }
-        refuse_foreign(self, applicable, why)
+        refuse_foreign(self, self.keys_of(self.quantity), why)
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
             expected = "no such key without a certificate as response"
@@ -286,6 +282,13 @@ class ChannelEntry(ManifestBlock):
             raise refusal("a number other than 0", "0", key="scale", declared=VALUE_OUT_OF_RANGE)
         return self
 
+    @classmethod
+    def keys_of(cls, quantity: str) -> set[str]:
+        """Return the keys of a channel of a quantity."""
+        if quantity == "trigger":
+            return {*cls.ANY, *cls.TRIGGER}
+        return {*cls.ANY, *cls.VALUE, *{"output": ("channel",), "voltage": ()}.get(quantity, cls.PLACEMENT)}
+
     @property
     def stored_name(self) -> str:
         """The channel's name in its file."""
@@ -299,6 +302,10 @@ class ChannelEntry(ManifestBlock):
         """
         kind = self.delay_of or (None if self.response is None else "pure")
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
+
+
+KEYS = {kind: ChannelEntry.keys_of(kind) for kind in (*TRANSDUCERS, "force", "output", "voltage", "trigger")}
+"""Keys of a channel by its quantity."""
 
 
 def _repeats(value: object, info: ValidationInfo) -> tuple[Path, ...]:
@@ -322,6 +329,7 @@ class Daq(ManifestBlock):
     clock_uncertainty: Share = 0.0
     sample_rate: Annotated[Positive, HERTZ] | None = None
     first_edge: Annotated[int, Field(ge=-FARTHEST_EDGE, le=FARTHEST_EDGE)] | None = None
+    defaults: ChannelDefaults | None = None
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     @property

@@ -15,7 +15,7 @@ from fusion.estimation.uncertainty import Scope
 from fusion.recording.placement import perpendicular_axes
 from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes, Plate, Rod, Variant, join_modes
 from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
-from shaker.io.text import read_table_columns
+from shaker.io.table import read_table_columns
 from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:

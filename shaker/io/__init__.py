@@ -15,7 +15,10 @@ _READERS = {
     ".uff": "universal.read_universal",
     ".unv": "universal.read_universal",
     ".mat": "binary.read_matlab",
-    ".csv": "text.read_table",
+    ".csv": "table.read_table",
+    ".tsv": "table.read_table",
+    ".txt": "table.read_table",
+    ".dat": "table.read_table",
     ".wav": "binary.read_wave",
     ".lvm": "labview.read_labview",
     ".asc": "text.read_scan_channels",
@@ -28,7 +31,7 @@ _READERS = {
 """Module and function of each suffix, imported for a file that has it."""
 SUFFIXES = tuple(_READERS)
 _UNIVERSAL = "export universal files (.uff, data set 58, binary)"
-_EXPORTS = {
+EXPORTS = {
     ".svd": f"Polytec's PSV or VibSoft file: {_UNIVERSAL} or MATLAB from its presentation mode",
     ".pvd": f"Polytec's VibSoft file: {_UNIVERSAL} or MATLAB",
     ".hdf": f"HEAD acoustics' ArtemiS file (if it is HDF5, name it .h5): {_UNIVERSAL} or MATLAB",
@@ -37,7 +40,17 @@ _EXPORTS = {
     ".lms": f"Siemens Testlab project: {_UNIVERSAL} or MATLAB",
     ".tdm": "National Instruments' older TDM file: save as .tdms",
     ".mdf": "ASAM MDF of version 2 or 3: convert to version 4 (.mf4)",
+    ".xlsx": "an Excel workbook: save the sheet as CSV",
+    ".xls": "an Excel workbook: save the sheet as CSV",
+    ".trc": "LeCroy's binary trace: save as text (.csv)",
+    ".wfm": "an oscilloscope's binary waveform: save as text (.csv)",
+    ".isf": "Tektronix' binary waveform: save as text (.csv)",
+    ".wvf": "Yokogawa's binary waveform: export text (.csv)",
+    ".wdf": "Yokogawa's binary waveform: export text (.csv)",
+    ".bin": "a binary file of a recorder: export text (.csv)",
+    ".tst": "HBM's catman project: export text (.txt), MATLAB or universal files",
 }
+"""Files that have no reader: maker and what to export."""
 
 
 def unsupported_suffix(path: Path) -> tuple[str, str] | None:
@@ -45,7 +58,7 @@ def unsupported_suffix(path: Path) -> tuple[str, str] | None:
     suffix = path.suffix.lower()
     if suffix in _READERS:
         return None
-    maker, _, export = _EXPORTS.get(suffix, "").partition(": ")
+    maker, _, export = EXPORTS.get(suffix, "").partition(": ")
     found = f"{path.name}, {maker}" if maker else path.name
     return f"a file that ends in one of {' '.join(SUFFIXES)}" + (f" ({export})" if export else ""), found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -457,9 +458,29 @@ def format_names(names: Sequence[str], most: int = 12) -> str:
     return ", ".join(f'"{name}"' for name in names[:most]) + more
 
 
-def is_time(name: str) -> bool:
-    """Return whether a channel or column is called `time`, in upper or lower case."""
-    return name.strip().lower() == "time"
+_TIME = re.compile(r"(time|zeit)(\s*\d+)?(\s+-\s.*)?", re.IGNORECASE)
+_TIME_IN_TEXT = re.compile(
+    r"((elapsed|relative?|rel\.?|absolute?|abs\.?|record(ing)?|sampl(e|ing)|mess|utc|local|system|trigger)[ _-]*)?"
+    r"(times?|zeit|uhrzeit|clock|time[ _-]?stamps?|zeitstempel|date[ _/-]*time|datum[ _/-]*(uhr)?zeit|temps|tiempo"
+    r"|tempo)([ _-]*\d+)?(\s+-\s.*)?|x[ _-]?(value|axis|achse)|seconds?|sekunden?",
+    re.IGNORECASE,
+)
+
+
+def is_time(name: str, unit: str = "", *, text: bool = False) -> bool:
+    """Return whether a channel or column is called `time`, `Zeit` or `t`.
+
+    With `text` it may have any name that tables use for times.
+    """
+    name = name.strip().rpartition(" - ")[2] if text and " - time" in name.lower() else name.strip()
+    if name in ("t", "T"):
+        return time_unit(unit) or (name == "t" and not unit.strip())
+    return (_TIME_IN_TEXT if text else _TIME).fullmatch(name) is not None
+
+
+def time_unit(unit: str) -> bool:
+    """Return whether a unit is one of short times."""
+    return _BY_NAME.get(unit.strip().lower(), 60.0) < 60.0
 
 
 def as_sample_array(path: Path, name: str, samples: object) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Text tables and scan files.
+"""Rows of numbers in text files, and scan files.
 
 Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
 
@@ -20,9 +20,6 @@ camera trigger. This module decides the points that the description does not def
 
 from __future__ import annotations
 
-import csv
-import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -36,13 +33,9 @@ from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
     RawChannel,
-    SampleTimes,
     agreed_rate,
     convert_read_errors,
-    is_time,
-    select_by_either_name,
     select_names,
-    times_of_stamps,
 )
 from shakercal._common.arrays import Arrays, FloatArray
 
@@ -50,6 +43,7 @@ from shakercal._common.arrays import Arrays, FloatArray
 
 _COMMENT = "#"
 _SAMPLE = 1 << 12  # bytes of a table from which the digits of its times are read
+_LATIN = 0.8  # least share of letters below 256 in a text of UTF-16 without mark
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 
@@ -64,6 +58,32 @@ class TextLayout:
     remarks: bool = False
 
 
+def open_text(path: Path) -> BinaryIO:
+    """Open a text file; UTF-16, with or without mark, is converted into UTF-8 in memory."""
+    stream = path.open("rb")
+    encoding = _utf16(stream.read(_SAMPLE))
+    stream.seek(0)
+    if not encoding:
+        return stream
+    with stream:
+        return BytesIO(stream.read().decode(encoding, "replace").lstrip("\ufeff").encode())
+
+
+def text_size(path: Path) -> int:
+    """Return the number of bytes of the stream of `open_text`."""
+    with open_text(path) as stream:
+        return stream.seek(0, 2)
+
+
+def _utf16(raw: bytes) -> str:
+    """Return the name of an encoding of two bytes per letter, empty for any other."""
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    odd, even = raw[1::2].count(0), raw[::2].count(0)
+    least = _LATIN * max(len(raw) // 2, 8)
+    return "utf-16-le" if odd > least and not even else "utf-16-be" if even > least and not odd else ""
+
+
 def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: Sequence[int]) -> dict[int, FloatArray]:
     """Return columns (S,) by index from the rows in bytes `start` to `stop`.
 
@@ -72,7 +92,7 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: 
     """
     columns = [np.empty(0) for _ in numbers]
     filled = 0
-    with layout.path.open("rb") as stream:
+    with open_text(layout.path) as stream:
         for position, block in whole_lines(stream, start, stop):
             rows = _whole_block(layout, block)
             rows = _line_by_line(layout, block, line, numbers) if rows is None else rows[:, list(numbers)]
@@ -99,7 +119,7 @@ def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
     zeros may be missing, and numbers with a fixed number of significant digits become coarser as they grow.
     """
     digits = []
-    with layout.path.open("rb") as stream:
+    with open_text(layout.path) as stream:
         for first, last in ((start, min(start + _SAMPLE, stop)), (max(start, stop - _SAMPLE), stop)):
             stream.seek(first)
             lines = decode_text(stream.read(last - first)).splitlines()[first > start : None if last == stop else -1]
@@ -204,147 +224,6 @@ def number_of(cell: str, comma: bool) -> float:
     """Return the number in a cell, NaN where it is empty."""
     cell = cell.strip().strip('"')
     return float(cell.replace(",", ".") if comma else cell) if cell else float("nan")
-
-
-# CSV: a header with the channels' names, an optional row of units, numbers.
-
-_DELIMITERS = ("\t", ";", ",")
-_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # a line that states the delimiter to Excel
-_NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
-
-
-@dataclass(frozen=True)
-class _Head:
-    """Header of a table: names, units, layout, and position of the first row."""
-
-    names: list[str]
-    units: list[str]
-    layout: TextLayout
-    start: int
-    line: int
-
-    @property
-    def short(self) -> list[str]:
-        """Names without their units."""
-        return [_split_unit(name)[0] for name in self.names]
-
-    @property
-    def plain(self) -> list[str]:
-        """Names without their units where these names are unique."""
-        short = self.short
-        count = Counter(short)
-        return [plain if count[plain] == 1 else name for plain, name in zip(short, self.names, strict=True)]
-
-    def columns(self, requested: Sequence[int]) -> dict[int, FloatArray]:
-        """Return columns by their index."""
-        size = self.layout.path.stat().st_size
-        return read_columns(self.layout, self.start, size, self.line, requested)
-
-
-def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read a text table with a header line; lines that begin with # are remarks.
-
-    The delimiter is that of a first line `sep=;`, else the tab, semicolon or comma that splits the header into most
-    cells, else white space. Decimal commas are accepted where the comma is no delimiter. Units are in a row below the
-    header or in it (`Fz [N]`, `Fz (N)`; also found as `Fz`). Times are those of a column `time`, in s or its unit.
-    Uniform within their printed digits, they give the slope of the straight line through them as the rate. Empty cells
-    and `nan` are NaN. Memory: the result and one block.
-    """
-    head = _head(path)
-    time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
-    present = {name: i for i, name in enumerate(head.names) if i != time}
-    columns_by_name = select_by_either_name(
-        path, names, present, [name for i, name in enumerate(head.short) if i != time]
-    )
-    columns = head.columns(sorted({*columns_by_name.values(), *([] if time is None else [time])}))
-    if time is None:
-        times = SampleTimes(agreed_rate(path, 'a table without a column "time"', None, sample_rate_hz))
-    else:
-        where, size = f'column "{head.names[time]}"', path.stat().st_size
-        digit = last_digit(head.layout, head.start, size, time)
-        stamps, unit = columns.pop(time), head.units[time]
-        times = times_of_stamps(path, where, stamps, unit, digit=digit, given_hz=sample_rate_hz)
-    return {name: RawChannel.from_times(times, columns[i], head.units[i]) for name, i in columns_by_name.items()}
-
-
-def table_units(path: Path) -> dict[str, str]:
-    """Return the unit of each table column by its name without unit."""
-    with convert_read_errors(path):
-        head = _head(path)
-        return dict(zip(head.plain, head.units, strict=True))
-
-
-def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
-    """Read columns (S, W) of a text table by the names of `table_units`."""
-    with convert_read_errors(path):
-        head = _head(path)
-        columns_by_name = [head.plain.index(name) for name in select_names(path, names, head.plain)]
-        columns = head.columns(sorted(set(columns_by_name)))
-        return np.stack([columns[index] for index in columns_by_name], axis=1)
-
-
-def _head(path: Path) -> _Head:
-    with path.open("rb") as stream:
-        if b"\0" in stream.read(4096):
-            raise ValueError(f"{path}: expected text, found binary data")
-        stream.seek(0)
-        _, header_line, text = _next_line(stream, 0)
-        stated = _STATED.fullmatch(text)
-        if stated:
-            _, header_line, text = _next_line(stream, header_line)
-        start, line, second = _next_line(stream, header_line)
-        behind = stream.tell()
-    plain = re.sub(r'"[^"]*"', "", text)
-    best = max(_DELIMITERS, key=plain.count)  # which gives most cells outside quotes, else white space
-    delimiter = stated[1] if stated else best if best in plain else ""
-    comma = delimiter != ","
-    names = _cells(text, delimiter)
-    if not second:
-        raise ValueError(f"{path}: expected a header and rows of numbers, found {1 if text else 0} lines")
-    if len(names) > 1 and not names[-1]:
-        names.pop()
-    if len(set(names)) < len(names) or all(_is_number(name, comma) for name in names):
-        raise ValueError(f"{path}: line {header_line}: expected a header with one name per column, found {names}")
-    units = [_split_unit(name)[1] for name in names]
-    cells = _cells(second, delimiter)
-    texts = [cell for cell in cells if cell and not _is_number(cell, comma)]
-    if texts and not any(_is_number(cell, comma) for cell in cells if cell != "1"):
-        stripped = [cell.strip("[]()").strip() for cell in cells] + [""] * len(names)
-        units = [row or unit for row, unit in zip(stripped, units, strict=False)]
-        start, line = behind, line + 1
-    return _Head(names, units, TextLayout(path, len(names), delimiter, comma), start, line)
-
-
-def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return position, number and text of the next line that is no remark."""
-    while True:
-        start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
-        check_line(raw)
-        line += 1
-        text = decode_text(raw).rstrip("\r\n")
-        if not raw or (text.strip() and not text.startswith(_COMMENT)):
-            return start, line, text
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    """Split a line into cells without quotes and blanks."""
-    if not delimiter:
-        return [cell[0] or cell[1] for cell in re.findall(r'"([^"]*)"|(\S+)', line)]
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
-
-
-def _split_unit(name: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit: `Fz [N]` or `Fz (N)`."""
-    match = _NAME_AND_UNIT.fullmatch(name)
-    return (match[1], (match[2] or match[3] or "").strip()) if match else (name, "")
-
-
-def _is_number(cell: str, comma: bool) -> bool:
-    try:
-        number_of(cell, comma)
-    except ValueError:
-        return False
-    return bool(cell)
 
 
 # Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).

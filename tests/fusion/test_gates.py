@@ -33,7 +33,7 @@ PATH_KEYS = {
     "ExcitationEntry.file", "AlignmentFile.calibration", "OtherPair.calibration", "FaceBlock.pixels",
     "TargetViewBlock.left", "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left",
     "CommonView.other_right", "MotionBlock.recordings", "AxisBlock.recordings", "ElementFile.measured",
-    "ElasticMode.surface", "SensorOfCamera.dark", "SensorOfCamera.flat",
+    "ChannelDefaults.response", "ElasticMode.surface", "SensorOfCamera.dark", "SensorOfCamera.flat",
 }  # fmt: skip
 
 

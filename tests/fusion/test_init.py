@@ -44,6 +44,19 @@ def stripped(source: Path, folder: Path) -> Path:
     return Path(shutil.copytree(source, folder, ignore=ignore))
 
 
+def expanded(recording: Any) -> Any:
+    """A recording whose channels state the defaults of their block."""
+    for block in recording.get("daq", []):
+        defaults = block.pop("defaults", {})
+        block["channel"] = [
+            entry
+            if entry["quantity"] == "trigger"
+            else {**entry, **{k: v for k, v in defaults.items() if k not in entry}}
+            for entry in block["channel"]
+        ]
+    return recording
+
+
 def filled(drafted: Any, original: Any, text: str, place: str = "") -> Any:
     """Fill in what a draft asks for, and what it only offers, from the original; all else must be as it is there."""
     if isinstance(original, dict):
@@ -80,7 +93,7 @@ def fill(folder: Path, source: Path) -> None:
     for path in [folder / "rig.toml", *(entry for entry in sorted(folder.glob("*/recording.toml")))]:
         text = path.read_text(encoding="utf-8")
         original = tomllib.loads((source / path.relative_to(folder)).read_text(encoding="utf-8"))
-        path.write_text(to_toml(filled(tomllib.loads(text), original, text, path.name)), encoding="utf-8")
+        path.write_text(to_toml(filled(expanded(tomllib.loads(text)), original, text, path.name)), encoding="utf-8")
 
 
 def test_the_demo_drafted_and_filled_in_is_the_demo(tmp_path, demo_recording, capsys):
@@ -139,7 +152,7 @@ def test_a_camera_without_a_partner_is_drafted_as_one_alone_before_a_face(tmp_pa
     original["stereo"] = {"top": stated}
     for name, whole in (("rig.toml", original), ("Fz-0080/recording.toml", _without_images(demo_recording))):
         text = (folder / name).read_text()
-        (folder / name).write_text(to_toml(filled(tomllib.loads(text), whole, text, name)))
+        (folder / name).write_text(to_toml(filled(expanded(tomllib.loads(text)), whole, text, name)))
     assert main(["check", str(folder)]) == 0
     assert re.search("stereo top .*camera", capsys.readouterr().out)
 
@@ -203,7 +216,7 @@ def test_presets_drafted_and_filled_in_are_what_they_were(tmp_path, preset):
         original = tomllib.loads(rig.read_text(encoding="utf-8"))
         original["rig"] = "../rig.toml" if "rig" in original else None
         original = {key: value for key, value in original.items() if value is not None}
-        path.write_text(to_toml(filled(tomllib.loads(text), original, text, name)), encoding="utf-8")
+        path.write_text(to_toml(filled(expanded(tomllib.loads(text)), original, text, name)), encoding="utf-8")
     assert check(load_manifest(folder / one.name)).problems == ()
 
 
@@ -420,11 +433,16 @@ def test_files_that_cannot_be_read_are_left_out_by_name(tmp_path, content):
     _one_laser(tmp_path)
     (tmp_path / "Mx-0050" / "broken.h5").write_bytes(content)
     (tmp_path / "Mx-0050" / 'a "quoted" # name.csv').write_text("a;b\n1;2\n")
-    text = draft(tmp_path).files[tmp_path / "Mx-0050" / "recording.toml"]
+    (tmp_path / "Mx-0050" / "scan.svd").write_bytes(b"\0")
+    drafted = draft(tmp_path)
+    text = drafted.files[tmp_path / "Mx-0050" / "recording.toml"]
+    assert [line.startswith("cannot be read: Mx-0050/") for line in drafted.found] == [True] * 3 + [False]
+    assert "1 recorder file with 3 channels" in drafted.found[-1]
     tomllib.loads(text)
-    left = text[text.index("# Left out:") :]
+    left = text[text.index("# Cannot be read:") : text.index("format = 1")]
     assert "# broken.h5: " in left
     assert '# a "quoted" # name.csv: ' in left
+    assert "# scan.svd: " in left
 
 
 def test_mistakes_of_both_files_are_told_at_once(tmp_path, demo_recording, capsys):

@@ -17,6 +17,7 @@ from fusion.errors import InputError
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import KINDS, ExcitationEntry
+from fusion.recording.instruments import ChannelDefaults, Instrument
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, ResponseColumns, Take
 from fusion.recording.recording_notices import (
@@ -198,8 +199,10 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[acknowledged]]`": Acknowledgement,
     "`[excitation]`": ExcitationEntry,
     "`[[daq]]`": Daq,
+    "`[daq.defaults]`": ChannelDefaults,
     "`[[daq.channel]]`": ChannelEntry,
     "`response_columns` of a channel": ResponseColumns,
+    "`[instrument.NAME]` of instruments.toml": Instrument,
     "`[[images]]`": Images,
     "`[[points]]`": PointFiles,
     "`[[take]]`": Take,
@@ -214,7 +217,7 @@ def test_every_block_has_a_table_that_is_its_model():
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
     every = [tomllib.loads(text) for text in examples(DOC)]
-    rig, recording, columns, chain, certified, _ = every  # the last: test_certified.py
+    rig, recording, columns, chain, certified, _, _, _ = every  # the last: test_certified.py, test_instruments.py
     assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
     assert ResponseColumns(**columns["daq"]["channel"][0]["response_columns"]).k == 2.0
     manifest = load_manifest(make_campaign())
@@ -230,7 +233,7 @@ def test_every_toml_example_is_toml_that_loads(make_campaign):
     ("key", "choices"), [("kind", KINDS), ("quantity", ChannelEntry.model_fields["quantity"].annotation.__args__)]
 )
 def test_the_document_names_every_kind_of_excitation_and_of_channel(key, choices):
-    (row,) = (line for line in DOC.splitlines() if line.startswith(f"| `{key}` |"))
+    row = next(line for line in DOC.splitlines() if line.startswith(f"| `{key}` | required |"))
     assert set(row.rsplit("|", 2)[1].split()) == {f"`{choice}`" for choice in choices}
 
 

@@ -16,7 +16,7 @@ from contracts import refused
 
 from shaker.io import channel, read_channels
 from shaker.io.channel import LONGEST_LINE, MOST_CHANNELS
-from shaker.io.text import table_units
+from shaker.io.table import table_units
 from shaker.lines import spectrum
 from shakercal._common.mat5 import check_mat5, load_mat
 

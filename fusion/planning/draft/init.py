@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ from typing import Any
 from fusion.base import natural_key
 from fusion.errors import InputError
 from fusion.planning.draft.channel_guess import HEAD
+from fusion.planning.draft.excitation_guess import driven_axis
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
-from fusion.planning.draft.manifest_drafts import SurveyedRecording, driven_axis, recording_text, rig_text
+from fusion.planning.draft.manifest_drafts import SurveyedRecording, recording_text, rig_text
+from fusion.planning.draft.questions import ask, with_answers
 from fusion.planning.planning_notices import (
     FILE_EXISTS,
     MANIFEST_EXISTS,
@@ -84,13 +87,28 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
         ...
     fusion.errors.InputError: SC-809 sample_images/demo/Fz-0080: expected a folder without recording.toml, found one
     """
-    folder = Path(folder)
+    return _draft(Path(folder), _survey(Path(folder)), like)
+
+
+def _survey(folder: Path) -> list[Inventory]:
+    """Return the contents of the recordings of a folder that has any."""
     found = [survey_folder(recording) for recording in _recordings(folder)]
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
         expected = "recorders' files or images in this folder or directly below"
         raise InputError(NO_RECORDED_FILES, folder, found="none", expected=expected)
-    surveyed = [SurveyedRecording.of(inventory) for inventory in found]
+    return found
+
+
+def _draft(
+    folder: Path,
+    found: Sequence[Inventory],
+    like: str | Path | None = None,
+    quantities: Mapping[Path, Mapping[str, str]] | None = None,
+) -> Draft:
+    """Draft the manifests of recordings; `quantities`: stated ones, by folder and key."""
+    stated = quantities or {}
+    surveyed = [SurveyedRecording.of(inventory, stated.get(inventory.folder)) for inventory in found]
     files = {}
     if like is not None:
         for item in surveyed:
@@ -105,7 +123,8 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
         for item in surveyed:
             path = Path(os.path.relpath(rig, item.inventory.folder)).as_posix()
             files[item.inventory.folder / RECORDING_NAME] = recording_text(item, path, tuple(pairs))
-    return Draft(files, tuple(map(_summary, surveyed)))
+    unreadable = [f"cannot be read: {item.folder.name}/{text}" for item in found for text in item.unreadable]
+    return Draft(files, (*unreadable, *map(_summary, surveyed)))
 
 
 def example(folder: Path) -> Draft:
@@ -116,9 +135,31 @@ def example(folder: Path) -> Draft:
     return Draft(files, ("an example with every block; the named files do not exist",))
 
 
-def run_init(folder: Path, like: Path | None = None, *, with_example: bool = False) -> Draft:
-    """Write drafted manifests, each atomically; existing files are never replaced."""
-    made = example(folder) if with_example else draft(folder, like)
+def run_init(
+    folder: Path,
+    like: Path | None = None,
+    *,
+    with_example: bool = False,
+    answers: Path | None = None,
+    reply: Callable[[str], str] | None = None,
+) -> Draft:
+    """Write drafted manifests, each atomically; existing files are never replaced.
+
+    `answers`: a file with values; `reply`: asks for the open ones, and returns the typed text.
+    """
+    if with_example:
+        made = example(folder)
+    else:
+        found = _survey(folder)
+        made = _draft(folder, found, like)
+
+        def redraft(quantities: Mapping[Path, Mapping[str, str]]) -> dict[Path, str]:
+            return _draft(folder, found, like, quantities).files
+
+        if answers is not None:
+            made = replace(made, files=with_answers(made.files, answers, redraft))
+        if reply is not None and made.unfilled:
+            made = replace(made, files=ask(made.files, made.found, reply, redraft), found=())
     for path in made.files:
         if path.exists():
             raise InputError(FILE_EXISTS, path, found="one", expected="no file of this name")
@@ -154,16 +195,18 @@ def _recordings(folder: Path) -> list[Path]:
 def _summary(surveyed: SurveyedRecording) -> str:
     """Return the contents of a recording in one line."""
     inventory = surveyed.inventory
-    channels = sum(len(daq.channels) for daq in inventory.daqs)
-    files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
-    texts = [f"{files} with {channels} channels"] if inventory.daqs else []
+    readable = [len(daq.channels) for daq in inventory.daqs if daq.channels]
+    channels = f"{sum(readable)} channel{'s' if sum(readable) > 1 else ''}"
+    files = f"{len(readable)} recorder file{'s' if len(readable) > 1 else ''}"
+    texts = [f"{files} with {channels}"] if readable else []
     for sight in inventory.camera_systems:
         texts.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
     texts += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     texts += [f"points {table.path.name}" for table in inventory.points]
     texts += [f"response {path.name}" for path in inventory.responses]
-    if surveyed.lines_hz:
-        texts.append(f"driven at {', '.join(f'{line:g}' for line in surveyed.lines_hz[:5])} Hz {surveyed.where}")
+    driven = surveyed.lines
+    if driven.lines_hz:
+        texts.append(f"driven at {', '.join(f'{line:g}' for line in driven.lines_hz[:5])} Hz {driven.where}")
     return f"{inventory.folder.name}: {'; '.join(texts)}"
 
 
@@ -180,7 +223,7 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
     if not isinstance(rig, str) or not isinstance(excitation, dict):
         expected = "a recording with its rig and an excitation"
         raise InputError(UNSUITABLE_TEMPLATE, path, found="neither", expected=expected)
-    inventory, lines = surveyed.inventory, list(surveyed.lines_hz)
+    inventory, lines = surveyed.inventory, list(surveyed.lines.lines_hz)
     folder = inventory.folder
 
     def moved(name: Any) -> Any:

@@ -3,53 +3,57 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fusion.base import natural_key
+from fusion.planning.draft.camera_pairs import FoundCameras, pair_cameras
+from fusion.planning.draft.image_series import FoundCamera, find_cameras, find_images
 from fusion.recording.manifest import SCAN
 from photogram.images.image_files import SUFFIXES as IMAGE_SUFFIXES
-from photogram.images.image_files import open_sequence
-from photogram.images.tiff import TIFF_SUFFIXES
-from photogram.images.video import VIDEO_READERS
-from shaker.io import SUFFIXES, read_channels
+from shaker.io import EXPORTS, SUFFIXES, read_channels
 from shaker.io.channel import open_hdf5
-from shaker.io.text import table_units
-from shaker.timebase.edges import find_edges
+from shaker.io.table import is_table, table_units
+from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.trigger import fit_trigger
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from photogram.images.sequence import ImageSequence
     from shaker.io.channel import RawChannel
 
-MOST_FILES = 100_000  # images that are examined in one folder
-FEWEST_ALONE = 8  # least number of frames of a single camera; fewer are photographs
-LOOKED_AT = 4  # images of a camera from which its bit depth is estimated
-GREY_BITS = (8, 10, 12, 14, 16)  # usual bit depths of cameras
+SAME_PULSES = 1e-4  # relative difference of the rates of two channels with the same pulses
+UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their median; correlation with their order
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
+LEAST_COUNT = 8  # samples that may be numbers of rows
 TABLE_KEYS = {"frequency_hz"}
 HDF5 = (".h5", ".hdf5")
+TEXTS = (".txt", ".dat")  # of recorders or of people
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
 """Attributes that may list the names of a table's columns."""
 MOST_LABELS = 10_000  # texts in a list of column names
-SIDES = (("left", "right"), ("l", "r"), ("a", "b"), ("0", "1"), ("1", "2"))
 
 
 @dataclass(frozen=True)
 class TriggerPulses:
-    """Pulses of a channel with two levels: number, rate, and width (s; 0 if unknown)."""
+    """Pulses of a channel with two levels: number, rate, width and first edge in s."""
 
     edges: int
     rate_hz: float
     width_s: float
+    first_s: float = 0.0
+
+    def same_as(self, other: TriggerPulses) -> bool:
+        """Return whether two channels of one recorder have the same pulses."""
+        shift_s = abs(self.first_s - other.first_s)
+        same_rate = abs(self.rate_hz / other.rate_hz - 1.0) < SAME_PULSES
+        return self.edges == other.edges and same_rate and shift_s * self.rate_hz < 0.5
 
 
 @dataclass(frozen=True)
@@ -85,45 +89,6 @@ class FoundDaq:
     channels: tuple[FoundChannel, ...]
     raw: dict[str, RawChannel]
     problem: str = ""
-
-
-@dataclass(frozen=True)
-class FoundCamera:
-    """Images of one camera.
-
-    `pattern`: of their paths below the recording. `bits`: the smallest depth for the brightest pixel of a few images;
-    `brightest`: that pixel's grey value.
-    """
-
-    pattern: str
-    frames: int
-    size_px: tuple[int, int]
-    bits: int
-    brightest: int
-    exposure_s: float | None
-    problem: str = ""
-
-    @property
-    def summary(self) -> str:
-        """Number of frames and their size."""
-        return f"{self.frames} frames of {self.size_px[0]} x {self.size_px[1]} px"
-
-
-@dataclass(frozen=True)
-class FoundCameras:
-    """Two cameras whose names differ only by left and right, or a single one.
-
-    `name` is the common part of their names.
-    """
-
-    name: str
-    left: FoundCamera
-    right: FoundCamera | None
-
-    @property
-    def cameras(self) -> tuple[FoundCamera, ...]:
-        """The left and the right camera, or the single one."""
-        return (self.left,) if self.right is None else (self.left, self.right)
 
 
 @dataclass(frozen=True)
@@ -165,26 +130,34 @@ class Inventory:
     others: tuple[Path, ...]
 
     @property
+    def unreadable(self) -> list[str]:
+        """Files of recorders that cannot be read, each with the reason."""
+        return [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in self.daqs if not daq.channels]
+
+    @property
     def empty(self) -> bool:
         """Whether it has no recorded data."""
         return not (self.daqs or self.camera_systems or self.cameras or self.points)
 
 
 def survey_folder(folder: Path) -> Inventory:
-    """Read the files of a folder and of the image folders directly below it."""
+    """Read the files of a folder and of the image folders below it."""
     files = sorted((path for path in folder.iterdir() if path.is_file()), key=lambda path: natural_key(path.name))
     tables = {path: _columns(path) for path in files if path.suffix.lower() == ".csv"}
     responses = tuple(path for path, columns in tables.items() if set(columns) >= TABLE_KEYS)
     points = tuple(_points(path, columns) for path, columns in tables.items() if {"x", "y", "z"} <= set(columns))
     taken = {*responses, *(item.path for item in points)}
-    recorders = [path for path in files if path.suffix.lower() in SUFFIXES and path not in taken]
-    below = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
-    images = [path for path_folder in (folder, *below) for path in _image_files(path_folder)]
-    sights, single = _paired([_camera(folder, group) for group in _series(images)])
-    classified = {*taken, *recorders, *images}
+    recorders = [path for path in files if _is_recorder_file(path) and path not in taken]
+    images = find_images(folder)
+    calibrations = find_calibrations(calibration_folders(folder))
+    cameras = find_cameras(folder, images)
+    sizes = {camera.size_px for camera in cameras}
+    sights, single = pair_cameras(cameras, [path for path, size in calibrations.items() if size in sizes])
+    unsupported = [path for path in files if path.suffix.lower() in EXPORTS]
+    classified = {*taken, *recorders, *images, *unsupported}
     return Inventory(
         folder,
-        tuple(map(_daq, recorders)),
+        tuple(map(_daq, [*recorders, *unsupported])),
         sights,
         single,
         points,
@@ -195,8 +168,14 @@ def survey_folder(folder: Path) -> Inventory:
 
 def is_recording_folder(folder: Path) -> bool:
     """Return whether a folder contains a recorder's file or images."""
-    found = [path.suffix.lower() for path in folder.iterdir() if path.is_file()]
-    return any(suffix in SUFFIXES or suffix in IMAGE_SUFFIXES for suffix in found)
+    files = [path for path in folder.iterdir() if path.is_file()]
+    return any(path.suffix.lower() in IMAGE_SUFFIXES or _is_recorder_file(path) for path in files)
+
+
+def _is_recorder_file(path: Path) -> bool:
+    """Return whether a file is a recorder's, by its suffix or its table."""
+    suffix = path.suffix.lower()
+    return suffix in SUFFIXES and (suffix not in TEXTS or is_table(path))
 
 
 # Recorders.
@@ -227,6 +206,9 @@ def _daq(path: Path) -> FoundDaq:
 
     Of a scan the channels of the first point are examined.
     """
+    maker, _, export = EXPORTS.get(path.suffix.lower(), "").partition(": ")
+    if maker:
+        return FoundDaq(path, (), {}, f"{maker}; {export}")
     try:
         raw = read_channels(path)
     except (OSError, ValueError) as error:
@@ -234,7 +216,17 @@ def _daq(path: Path) -> FoundDaq:
     if path.suffix.lower() == SCAN:
         raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
     labels = _column_labels(path, raw) if path.suffix.lower() in HDF5 else {}
-    return FoundDaq(path, tuple(_channel(name, channel, labels.get(name, "")) for name, channel in raw.items()), raw)
+    channels = {name: channel for name, channel in raw.items() if not _is_empty_or_count(channel)}
+    made = tuple(_channel(name, channel, labels.get(name, "")) for name, channel in channels.items())
+    return FoundDaq(path, made, channels)
+
+
+def _is_empty_or_count(channel: RawChannel) -> bool:
+    """Return whether a channel has no samples, or numbers them."""
+    samples = channel.samples
+    if not np.isfinite(samples).any():
+        return True
+    return len(samples) > LEAST_COUNT and samples[0] in (0.0, 1.0) and bool(np.all(np.diff(samples) == 1.0))
 
 
 def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:
@@ -306,131 +298,33 @@ def _pulses(raw: RawChannel) -> TriggerPulses | None:
         fit = fit_trigger(edges)
     except ValueError:
         return None
-    if fit.edges < 3 or fit.spurious > fit.edges / 10:
+    if fit.edges < 3 or fit.spurious > fit.edges / 10 or not _equal_pulses(samples, edges):
         return None
     up = float(np.mean(samples >= middle))
-    return TriggerPulses(fit.edges, 1.0 / fit.period_s, up * len(samples) / raw.sample_rate_hz / fit.edges)
+    width_s = up * len(samples) / raw.sample_rate_hz / fit.edges
+    return TriggerPulses(fit.edges, 1.0 / fit.period_s, width_s, float(edges.estimate_s[0]))
 
 
-# Cameras.
-
-
-def _image_files(folder: Path) -> list[Path]:
-    """Return the images and videos of a folder in natural order."""
-    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
-    return sorted(found[:MOST_FILES], key=lambda path: natural_key(path.name))
-
-
-def _series(images: Iterable[Path]) -> list[tuple[Path, ...]]:
-    """Return groups of images that differ in one number of their names.
-
-    A video, and a file of many pages, is a separate group. Of the numbers of a name the one with most values counts the
-    frames; the others distinguish cameras.
-    """
-    similar: dict[tuple[Path, tuple[str, ...]], list[tuple[tuple[str, ...], Path]]] = defaultdict(list)
-    alone = []
-    for path in images:
-        if path.suffix.lower() in VIDEO_READERS:
-            alone.append((path,))
-            continue
-        parts = re.split(r"(\d+)", path.name)
-        similar[path.parent, tuple(parts[::2])].append((tuple(parts[1::2]), path))
-    series = []
-    for members in similar.values():
-        numbers = list(zip(*(numbers for numbers, _ in members), strict=True))
-        counted = max(range(len(numbers)), key=lambda i: len(set(numbers[i])), default=0)
-        groups: dict[tuple[str, ...], list[Path]] = defaultdict(list)
-        for frame_numbers, path in members:
-            groups[frame_numbers[:counted] + frame_numbers[counted + 1 :]].append(path)
-        series += [tuple(group) for group in groups.values()]
-    return [group for group in series if len(group) >= 3 or group[0].suffix.lower() in TIFF_SUFFIXES] + alone
-
-
-def _pattern(folder: Path, group: Sequence[Path]) -> str:
-    """Return the pattern of a camera's image names, as a path below the recording."""
-    names = [path.name for path in group]
-    start = next((i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1), len(names[0]))
-    while start and names[0][start - 1].isdigit():
-        start -= 1
-    ends = [re.sub(r"^\d+", "", name[start:]) for name in names]
-    name = f"{names[0][:start]}*{ends[0]}" if len(names) > 1 else names[0]
-    return (group[0].parent / name).relative_to(folder).as_posix()
-
-
-def _camera(folder: Path, group: Sequence[Path]) -> FoundCamera:
-    """Examine the images of a camera."""
-    pattern = _pattern(folder, group)
-    try:
-        images = open_sequence(group)
-        chosen = sorted({round(i * (len(images) - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
-        brightest = max(int(images.read(i).max()) for i in chosen)
-    except (OSError, ValueError) as error:
-        problem = " ".join(str(error).split()).replace(f"{group[0].parent}{os.sep}", "")
-        return FoundCamera(pattern, len(group), (0, 0), 8, 0, None, problem)
-    bits = next(bits for bits in GREY_BITS if brightest < 2**bits)
-    bits = images.full_scale.bit_length() if _states_its_depth(group, images) else bits
-    return FoundCamera(pattern, len(images), images.size_px, bits, brightest, images.exposure_s)
-
-
-def _states_its_depth(group: Sequence[Path], images: ImageSequence) -> bool:
-    """Return whether the files state their bit depth."""
-    return group[0].suffix.lower() in VIDEO_READERS or images.full_scale != 2**16 - 1
-
-
-def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundCameras, ...], tuple[FoundCamera, ...]]:
-    """Return pairs and single cameras, and all other cameras with the reason."""
-    sights, rest, odd = list[FoundCameras](), list(cameras), list[FoundCamera]()
-    for left_word, right_word in SIDES:
-        for camera in list(rest):
-            span = _word(camera.pattern, left_word)
-            if camera not in rest or span is None:
-                continue
-            other = camera.pattern[: span[0]] + right_word + camera.pattern[span[1] :]
-            partner = next((item for item in rest if item.pattern.lower() == other.lower()), None)
-            if partner is None:
-                continue
-            rest = [item for item in rest if item not in (camera, partner)]
-            if partner.frames == camera.frames:
-                sights.append(FoundCameras(_common_name(camera.pattern, span), camera, partner))
-                continue
-            for one, partner_camera in ((camera, partner), (partner, camera)):
-                odd.append(
-                    replace(
-                        one,
-                        problem=one.problem
-                        or f"{one.summary}, and {partner_camera.pattern} has {partner_camera.summary}",
-                    )
-                )
-    for camera in rest:
-        if camera.problem or camera.frames < FEWEST_ALONE:
-            odd.append(replace(camera, problem=camera.problem or f"{camera.summary}, without a second camera"))
-        else:
-            left = _word(camera.pattern, SIDES[0][0]) or (0, 0)
-            sights.append(FoundCameras(_common_name(camera.pattern, left, "camera"), camera, None))
-    names = [sight.name for sight in sights]
-    counts = [names[:i].count(name) for i, name in enumerate(names)]
-    named = [replace(s, name=f"{s.name}{n + 1}" if n else s.name) for s, n in zip(sights, counts, strict=True)]
-    return tuple(named), tuple(odd)
-
-
-def _word(pattern: str, word: str) -> tuple[int, int] | None:
-    """Return the last position of a separate word in a pattern."""
-    before = r"(?<![0-9])" if word.isdigit() else r"(?<![A-Za-z])"
-    after = r"(?![0-9])" if word.isdigit() else r"(?![A-Za-z])"
-    found = list(re.finditer(before + word + after, pattern, re.IGNORECASE))
-    return found[-1].span() if found else None
-
-
-def _common_name(pattern: str, span: tuple[int, int], default: str = "pair") -> str:
-    """Return the name of a camera without left or right, frame number and common words."""
-    rest = pattern[: span[0]] + "/" + pattern[span[1] :]
-    words = [word for word in re.split(r"[^A-Za-z0-9]+", rest.rpartition(".")[0]) if word]
-    dull = {"cam", "camera", "img", "image", "frame", "kamera", "pair", "stereo"}
-    specific = [word for word in words if word.lower() not in dull]
-    return "-".join(specific)[:40] or default
+def _equal_pulses(samples: FloatArray, edges: Edges) -> bool:
+    """Return whether all pulses have one height; those of a ringing signal decay."""
+    first = np.searchsorted(np.arange(len(samples)), edges.upper_s * (len(samples) / edges.record_s) - 0.5)
+    highest = np.maximum.reduceat(samples, first)
+    lowest = np.minimum.reduceat(samples, first)[:-1]
+    for peaks in (highest - edges.threshold, edges.threshold - lowest):
+        spread = float(np.ptp(peaks)) / float(np.median(peaks))
+        trend = abs(float(np.corrcoef(np.arange(len(peaks)), peaks)[0, 1])) if spread > 0.0 and len(peaks) > 2 else 0.0
+        if spread > UNEQUAL and (trend > DECAYING or spread > VERY_UNEQUAL):
+            return False
+    return True
 
 
 # Calibrations.
+
+
+def calibration_folders(folder: Path) -> list[Path]:
+    """Return the folders that may contain the calibrations of a recording."""
+    places = (folder, folder.absolute().parent)
+    return [place for around in places for place in (around, around / "calibration")]
 
 
 def find_calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:

@@ -2,43 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import os
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from fusion.planning.draft.camera_pairs import FoundCameras
 from fusion.planning.draft.channel_guess import (
     HEAD,
-    TRIGGER_WORDS,
     ChannelGuess,
     RecorderFile,
+    assign_instruments,
     body_line,
     guess_recorders,
-    has_word,
     key_line,
     optional_line,
     question_line,
     sort_body_views,
+    with_quantities,
 )
+from fusion.planning.draft.excitation_guess import DrivenLines, driven_lines, excitation_lines, guess_bodies
 from fusion.planning.draft.inventory import (
-    FoundCameras,
-    FoundChannel,
     FoundPoints,
     Inventory,
     find_calibrations,
     states_scale,
 )
+from fusion.recording.instruments import LIBRARY_NAME, find_library
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED, quote_key
 from fusion.recording.transducer import TRANSDUCERS
 from photogram.calibration.calibration_file import is_single
-from shaker.labels import LOAD_COMPONENTS
-from shaker.lines.detection import survey_lines
-from shakercal._common.arrays import FloatArray
 
 # The rig.
 
@@ -112,7 +108,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
 
 def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     """Yield the block of the sensor."""
-    named = [next((name for name in LOAD_COMPONENTS if has_word(name.lower(), o.found.title)), "") for o in outputs]
+    named = [output.component for output in outputs]
     units = {o.found.unit.strip().lower() for o in outputs}
     yield "\n[sensor]"
     yield key_line("name", "sensor under test", "its name in a certificate")
@@ -196,29 +192,29 @@ def _sight(
         yield optional_line("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")
 
 
-LOOKED_AT = 1 << 17  # samples in which the excitation is searched for
-FEWEST = 64  # least number of samples for a search of lines
-FAINT = 1e-3  # least amplitude of a line over the largest channel of its unit: less is hum or cross-talk
-STRONG, MOST_DRIVEN = 0.1, 30  # least amplitude over the strongest line; largest number of lines of a multisine
 FARTHEST_M = 5.0  # of a point of a body: larger coordinates are in mm
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
 
 
 @dataclass(frozen=True)
 class SurveyedRecording:
-    """Contents of a folder, guessed channels, and the driven lines in Hz with their file."""
+    """Contents of a folder, guessed channels, and the driven lines."""
 
     inventory: Inventory
     recorders: tuple[RecorderFile, ...]
-    lines_hz: tuple[float, ...]
-    where: str
+    lines: DrivenLines
 
     @staticmethod
-    def of(inventory: Inventory) -> SurveyedRecording:
-        """Return the channels and lines of a folder."""
-        found = tuple(guess_recorders(inventory.daqs))
-        lines_hz, where = driven_lines(found)
-        return SurveyedRecording(inventory, found, tuple(lines_hz), where)
+    def of(inventory: Inventory, quantities: Mapping[str, str] | None = None) -> SurveyedRecording:
+        """Return the channels and lines of a folder.
+
+        `quantities`: stated ones, by the paths of their keys in recording.toml.
+        """
+        library = find_library(inventory.folder / "rig.toml")
+        guessed = with_quantities(guess_recorders(inventory.daqs), quantities or {})
+        found = tuple(assign_instruments(guessed, library))
+        lines = driven_lines(found)
+        return SurveyedRecording(inventory, tuple(guess_bodies(found, lines)), lines)
 
 
 def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[str] = ()) -> str:
@@ -228,98 +224,20 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     """
     inventory, found = surveyed.inventory, surveyed.recorders
     folder = inventory.folder.resolve()
-    lines = [HEAD, "format = 1", key_line("name", folder.name), key_line("rig", rig)]
+    lines = [HEAD]
+    if inventory.unreadable:
+        lines += ["# Cannot be read:", *(f"# {' '.join(text.split())}" for text in inventory.unreadable), ""]
+    lines += ["format = 1", key_line("name", folder.name), key_line("rig", rig)]
     lines += ["# date = 2026-01-31  # of the recording", optional_line("operator", "", "who recorded it")]
     lines += [optional_line("mounting", "1", "recordings with another text have another mounting")]
-    lines += _excitation(folder.name, list(surveyed.lines_hz), surveyed.where)
+    lines += excitation_lines(folder.name, found, surveyed.lines)
     for recorder in found:
         lines += _daq_block(recorder, inventory.responses)
     lines += _frames(inventory, found, pair_names)
-    left = [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in inventory.daqs if not daq.channels]
-    left += [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
+    left = [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
     if left:
         lines += ["\n# Left out:", *(f"# {' '.join(text.split())}" for text in left)]
     return "\n".join(lines) + "\n"
-
-
-# Excitation.
-
-
-def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
-    """Return the driven lines in Hz, and their source.
-
-    They are from the first file with a line.
-    """
-    for recorder in found:
-        usable = [
-            i for i in recorder.channels if i.quantity != "trigger" and not has_word(TRIGGER_WORDS, i.found.title)
-        ]
-        usable = [i for i in usable if i.quantity != UNFILLED] or usable  # channels with a known quantity
-        chosen = [i.found for i in usable if i.found.samples >= FEWEST]
-        chosen = [c for c in chosen if (c.rate_hz, c.samples) == (chosen[0].rate_hz, chosen[0].samples)]
-        chosen = [c for c in chosen if np.isfinite(recorder.daq.raw[c.name].samples[:LOOKED_AT]).all()]
-        values = [recorder.daq.raw[channel.name].samples[:LOOKED_AT] for channel in chosen]
-        values = [samples - samples.mean() for samples in values]
-        if not values:
-            continue
-        survey = survey_lines(np.stack(values, axis=1), chosen[0].rate_hz)
-        amplitude = np.nan_to_num(survey.amplitude)
-        amplitude = np.where(amplitude >= FAINT * np.array(_largest_of_unit(chosen, values)), amplitude, 0.0)
-        # The strength of a line is its largest amplitude, each channel relative to its strongest line.
-        strength = (amplitude / np.maximum(amplitude.max(axis=0, initial=0.0), 1e-300)).max(axis=1, initial=0.0)
-        lines = [
-            _nominal(frequency, u)
-            for frequency, u, origin, share in zip(
-                survey.frequency_hz.tolist(), survey.u_frequency_hz.tolist(), survey.origin, strength, strict=True
-            )
-            if origin.kind == "fundamental" and share >= STRONG
-        ]
-        if lines:
-            return lines, f"in {recorder.daq.path.name}"
-    return [], ""
-
-
-def _largest_of_unit(chosen: Sequence[FoundChannel], values: Sequence[FloatArray]) -> list[float]:
-    """Return for each channel the largest standard deviation among channels of its unit."""
-    sizes = [float(samples.std()) for samples in values]
-    return [max(s for s, c in zip(sizes, chosen, strict=True) if c.unit == one.unit) for one in chosen]
-
-
-def _nominal(frequency_hz: float, u_hz: float) -> float:
-    """Return the frequency with fewest digits within the uncertainty of the record."""
-    within = max(3 * u_hz, 1e-4 * frequency_hz)
-    rounded = (round(frequency_hz, digits) for digits in range(6))
-    return next((value for value in rounded if abs(value - frequency_hz) <= within), frequency_hz)
-
-
-def driven_axis(name: str) -> list[float] | None:
-    """Return the direction in a folder's name, such as Fz-0080.
-
-    It has 3 numbers, or 6 of a moment.
-    """
-    axis = re.search(r"(?<![A-Za-z])([FM][xyz])(?![A-Za-z])", name)
-    six = [float(axis is not None and axis[1] == component) for component in LOAD_COMPONENTS]
-    return None if axis is None else six[:3] if axis[1][0] == "F" else six
-
-
-def _excitation(name: str, lines: list[float], where: str) -> Iterator[str]:
-    """Yield the block of the excitation."""
-    few = 0 < len(lines) <= MOST_DRIVEN
-    yield "\n[excitation]"
-    if few:
-        reason = "one line and its harmonics" if len(lines) == 1 else f"{len(lines)} lines above the noise"
-        yield key_line("kind", "sine" if len(lines) == 1 else "multisine", f"guessed: {reason} {where}")
-    else:
-        reason = f"{len(lines)} lines above the noise {where}" if lines else "no line above the noise"
-        yield question_line("kind", f"one of sine, multisine, chirp, noise, impact, step, rotation; {reason}")
-    axis = driven_axis(name)
-    if axis is None:
-        yield question_line("direction", "the driven axis, 3 numbers such as [0, 0, 1], or 6 where a moment is driven")
-    else:
-        yield key_line("direction", axis, "guessed: the name of the folder")
-    if few:
-        yield key_line("frequencies", lines, "Hz, nominal")
-        yield optional_line("harmonics", "auto", '"auto", those above the noise, or a list of multiples')
 
 
 # The blocks of a recording.
@@ -332,49 +250,78 @@ def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[st
     yield key_line("name", path.stem)
     yield key_line("file", path.name)
     yield optional_line("clock_uncertainty", 1e-6, "relative, of its sample rate")
+    for name, trigger in recorder.copies:
+        yield f"# {json.dumps(name, ensure_ascii=False)} has the same pulses as {trigger}"
     own_responses = [table for table in responses if table.stem.lower().startswith(path.stem.lower())]
     seen: set[str] = set()
+    measuring = [item for item in recorder.channels if item.quantity != "trigger"]
+    shared = _shared_keys(measuring)
+    response = key_line("response", own_responses[0].name, "guessed: named after this file") if own_responses else ""
+    if len(measuring) > 1 and (shared or response):
+        yield "\n[daq.defaults]  # of all channels of this file that do not state them"
+        yield from [question_line(key, why) for key, why in shared.items()]
+        yield from [response] if response else []
+        if len({item.quantity for item in measuring}) == 1 and measuring[0].quantity != UNFILLED:
+            yield from _options(measuring[0], responding=bool(response))
+            seen.add("motion" if measuring[0].quantity in TRANSDUCERS else measuring[0].quantity)
+        response = ""
     for item in recorder.channels:
         yield "\n[[daq.channel]]"
-        yield from _channel_block(item, scan=path.suffix.lower() == SCAN)
-        if own_responses and item.quantity != "trigger":
-            yield key_line("response", own_responses[0].name, "guessed: named after this file")
+        yield from _channel_block(item, shared, scan=path.suffix.lower() == SCAN)
+        if response and item.quantity != "trigger":
+            yield response
         kind = "motion" if item.quantity in TRANSDUCERS else item.quantity
         if kind not in seen:  # only once per kind
             seen.add(kind)
             yield from _options(item, responding=bool(own_responses))
 
 
-def _channel_block(item: ChannelGuess, *, scan: bool) -> Iterator[str]:
-    """Yield the required keys of a channel."""
+def _shared_keys(items: Sequence[ChannelGuess]) -> dict[str, str]:
+    """Return the keys to fill in once for all channels of one quantity and unit."""
+    kinds = {(item.quantity, item.found.unit, item.scale, item.instrument) for item in items}
+    if len(items) < 2 or len(kinds) > 1 or items[0].quantity == UNFILLED:
+        return {}
+    asked = dict(_scale_questions(items[0]))
+    return {key: f"{why}; a channel with another one states it" for key, why in asked.items()}
+
+
+def _scale_questions(item: ChannelGuess) -> Iterator[tuple[str, str]]:
+    """Yield the keys of a channel's scale to fill in, with the expected values."""
+    if item.scale is None and "scale" not in item.provided and item.quantity != UNFILLED:
+        unit = "the sensor's unit" if item.quantity == "output" else _unit(item.quantity)
+        yield "scale", f"its calibration factor, {unit} per {item.found.unit or 'unit of the file'}"
+    if item.quantity in TRANSDUCERS and not {"scale", "scale_uncertainty", "response"} & set(item.provided):
+        yield "scale_uncertainty", "relative standard uncertainty (k = 1) of this factor"
+
+
+def _channel_block(item: ChannelGuess, shared: Mapping[str, str], *, scan: bool) -> Iterator[str]:
+    """Yield the required keys of a channel; `shared`: those that its block has."""
     found = item.found
     size = f"{found.samples} samples at {found.rate_hz:g} Hz, {found.low:.4g} to {found.high:.4g} {found.unit}"
     yield key_line("name", item.name, size.strip())
     if item.name != found.name:
         yield key_line("in_file", found.name)
+    if item.instrument:
+        yield key_line("instrument", item.instrument, f"guessed: its name, of {LIBRARY_NAME}")
     yield key_line("quantity", item.quantity, item.why)
     if item.quantity == "trigger":
         return
     if item.quantity == "output":
-        component = next((name for name in LOAD_COMPONENTS if has_word(name.lower(), found.title)), None)
-        if component is None:
+        if not item.component:
             yield question_line("channel", "which of the sensor's outputs, as [sensor] channels of rig.toml names them")
         else:
-            yield key_line("channel", component, "guessed: its name")
+            why = "its name" if item.component in found.title else "its name or the order of the channels"
+            yield key_line("channel", item.component, f"guessed: {why}")
     motion = item.quantity in TRANSDUCERS
     if motion:
-        yield body_line(found.title)
+        yield body_line(found.title, item.base_why)
         if not TRANSDUCERS[item.quantity].rotational:
             yield question_line("point", "where it measures in the sensor frame, in m, such as [0.03, 0, 0.04]")
         if not scan:
             yield question_line("direction", "its positive sense in sensor axes, such as [0, 0, 1]")
-    if item.scale is not None:
+    if item.scale is not None and "scale" not in item.provided:
         yield key_line("scale", item.scale, item.scale_why)
-    elif item.quantity != UNFILLED:
-        unit = "the sensor's unit" if item.quantity == "output" else _unit(item.quantity)
-        yield question_line("scale", f"its calibration factor, {unit} per {found.unit or 'unit of the file'}")
-    if motion:
-        yield question_line("scale_uncertainty", "relative standard uncertainty (k = 1) of this factor")
+    yield from [question_line(key, why) for key, why in _scale_questions(item) if key not in shared]
 
 
 def _unit(quantity: str) -> str:
@@ -413,7 +360,8 @@ def _frames(inventory: Inventory, found: Sequence[RecorderFile], pair_names: Seq
             yield question_line("stereo", f"which one of rig.toml: {', '.join(pair_names)}")
         if isinstance(item, FoundCameras):
             for key, camera in zip(("left", "right"), item.cameras, strict=False):
-                yield key_line(key, camera.pattern, camera.problem or (camera.summary if key == "left" else ""))
+                shown = "; ".join(filter(None, (camera.summary, item.why))) if key == "left" else ""
+                yield key_line(key, camera.pattern, camera.problem or shown)
             yield from _tied(item.left.frames, edges)
             continue
         yield key_line("files", item.path.name)

@@ -14,7 +14,7 @@ from fusion.recording.rig import Sensor
 from fusion.recording.units import recorded_unit
 from fusion.recording.values import LARGEST
 from fusion.sensor import bench_notices as declared
-from shaker.io.text import read_table_columns, table_units
+from shaker.io.table import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.orientations import OrientationSeries, linear_misfit
 from shaker.static_rotation.rounding import last_digit
