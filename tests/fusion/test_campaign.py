@@ -302,8 +302,8 @@ def test_a_notice_of_many_recordings_is_listed_once_warnings_first(tmp_path):
         with h5py.File(folder / "result.h5", "w") as file:
             write_value(file, "notices", notices)
     found = notices_of(outcomes, campaign=False)
-    assert [(re.findall(r"-?[\d.]+", one.text), one.recordings) for one in found] == [
-        (["2.1", "3", "-160", "80", "1"], ("0", "1")),
+    assert [(re.findall(r"−?[\d.]+", one.text), one.recordings) for one in found] == [
+        (["2.1", "3", "−160", "80", "1"], ("0", "1")),
         (["3", "7", "2"], ("2",)),
         ([], ("0", "1", "2")),
     ]
@@ -341,10 +341,10 @@ def test_printed_values_have_u_by_their_factor_and_no_phase_near_zero(tmp_path):
     console.print(sensitivity_table([found[2], few, weak, thin]))
     text = console.export_text()
     expanded = coverage_factor(4.0) * float(few["u_magnitude"]) * 1e7
-    for words in ("(1.9720 ± 0.0019)e-7", f"(1.9720 ± {expanded:.4f})e-7", "2.78", "(region ± 4.9, ± 2.4)e-11",
-                  "2.45"):  # fmt: skip
+    for words in ("(1.9720 ± 0.0019) × 10⁻⁷", f"(1.9720 ± {expanded:.4f}) × 10⁻⁷", "2.78",
+                  "(region ± 4.9, ± 2.4) × 10⁻¹¹", "2.45"):  # fmt: skip
         assert words in text
-    (row,) = (line for line in text.splitlines() if "(2.9 ± 2.9)e-9" in line)
+    (row,) = (line for line in text.splitlines() if "(2.9 ± 2.9) × 10⁻⁹" in line)
     assert "\N{EN DASH}" in row
 
 
@@ -376,7 +376,8 @@ def test_a_campaign_prints_its_curve_and_its_failures(tmp_path, capsys):
     assert text.startswith("Sensitivity in (V/V)/N, ")
     assert max(map(len, text.splitlines())) <= 80
     assert all(
-        re.search(rf"│ +{value} │ Fz per Fz +│ +\(1\.9[89].* ± .*\)e-7 │", text) for value in ("80.0000", "160.0000")
+        re.search(rf"│ +{value} │ Fz per Fz +│ +\(1\.9[89].* ± .*\) × 10⁻⁷ │", text)
+        for value in ("80.0000", "160.0000")
     )
     lines = [line for line in console.export_text().splitlines() if line.startswith("│")]
     cells = [[cell.strip() for cell in line.split("│")[1:-1]] for line in lines]

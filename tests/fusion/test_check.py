@@ -142,7 +142,8 @@ def test_rigs_of_one_campaign_say_the_same_of_its_sensor(tmp_path, capsys):
         told = capsys.readouterr().err
         start = f"{CONTRADICTORY_MOVING_MASS.code} {rig}: sensor.{key}: "
         assert start in told
-        assert all(value in told.partition(start)[2] for value in (first.name, stated, other))
+        shown = first.name, stated.replace("5e-05", "5 × 10⁻⁵"), other
+        assert all(value in told.partition(start)[2] for value in shown)
         assert main(["load", str(folder), "-o", str(tmp_path / "out"), "-q"]) == 2
         edit(rig, new, old)
 

@@ -22,7 +22,7 @@ CENTRE = "centre_of_mass = [0.0, 0.0, 0.0]\ncentre_of_mass_uncertainty = 1e-4"
 CASES = [
     ("rig.toml", CENTRE, CENTRE.replace("[0.0, 0.0, 0.0]", "[0.0, 0.0, 2.0]"), "load.centre_of_mass", "27.8 times"),
     ("rig.toml", "[2000.0, 2000.0, 4000.0,", "[2.0, 2.0, 4.0,", "sensor.capacity", "weighs 68.3 N"),
-    ("rig.toml", "[5.1e-7, 0.0", "[5.1e-4, 0.0", "sensor.static_sensitivity", "1.02e+03 mV/V"),
+    ("rig.toml", "[5.1e-7, 0.0", "[5.1e-4, 0.0", "sensor.static_sensitivity", "1020 mV/V"),
     ("rig.toml", "gravity = [0.0, 0.0, -9.8125]", "gravity = [0.0, 0.0, 9.8125]", "environment.gravity", "hang"),
     ("rig.toml", "mass_uncertainty = 0.0010", "mass_uncertainty = 0.0010\ndensity = 7.9e4", "load.density", "79000"),
     ("recording.toml", "direction_uncertainty = 5e-3", "direction_uncertainty = 0.3", "direction_uncertainty", "17.2°"),
@@ -61,8 +61,8 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     ("rotation", "translation", "reported"),
     [
         ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", None),
-        ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.00018, 0, 0.000135]", "0.0003 m"),
-        ("[[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", "-"),
+        ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.00018, 0, 0.000135]", "3 × 10⁻⁴ m"),
+        ("[[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", "−"),
     ],
 )
 def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(

@@ -366,7 +366,7 @@ def test_every_point_of_a_scan_has_its_own_direction_to_the_mirror_of_its_head(t
     lines = mirror - np.array(SCANNED)
     found = [unit_direction(take.records[0].entry.channel[0]) for take in takes]
     np.testing.assert_allclose(found, lines / np.linalg.norm(lines, axis=1, keepdims=True), atol=1e-9)
-    assert "head psv: mirror at (0.01, -0.02, 0.55) m, 4 channels or points" in check(load_manifest(folder)).contents
+    assert "head psv: mirror at (0.01, −0.02, 0.55) m, 4 channels or points" in check(load_manifest(folder)).contents
     reported = refused("run", _text(folder, own, reference("2"), output("3")))
     assert "daq.scan.channel.1.direction: " in reported
     assert "head psv" in reported

@@ -11,7 +11,7 @@ from lxml import etree
 from lxml.builder import ElementMaker
 from markupsafe import Markup
 
-from fusion.base import DASH, PROGRAM, __version__, check_new_file
+from fusion.base import PROGRAM, __version__, check_new_file
 from fusion.errors import InputError
 from fusion.estimation.coverage import COVERAGE
 from fusion.recording.dsi import Powers, dsi_unit
@@ -26,12 +26,7 @@ from fusion.report.table import (
     half_axes,
     magnitude_phase_text,
     page_column,
-    quantity_html,
-    scaled_html,
-    signed_text,
-    small,
     table,
-    times_ten,
 )
 from fusion.sensor.certificate.certificate_evaluation import (
     Certificate,
@@ -53,6 +48,7 @@ from fusion.sensor.certificate.certificate_inputs import (
 )
 from fusion.sensor.result_notices import UNIT_WITHOUT_DSI
 from shaker.labels import sensitivity_unit
+from shakercal._common.digits import DASH, number_text, quantity_text, scaled_text, signed_text, small, times_ten
 
 # Digital Calibration Certificate.
 
@@ -327,7 +323,11 @@ def run_certificate(
     for element in found.elements:
         first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
         count = len(element.values)
-        where = f"{count} frequencies, {first:.6g} to {last:.6g} Hz" if count > 1 else f"{first:.6g} Hz"
+        where = (
+            f"{count} frequencies, {number_text(first, 6)} to {number_text(last, 6)} Hz"
+            if count > 1
+            else f"{number_text(first, 6)} Hz"
+        )
         failed = element.verdicts.count("fail")
         judged = "" if not element.verdicts else ", conforms" if not failed else f", does not conform at {failed}"
         if element.main:
@@ -381,7 +381,11 @@ def _address(party: Party) -> list[str]:
 def _condition(name: str, unit: str, low: float, high: float) -> str:
     """Return a condition as text."""
     text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
-    return f"{name}: {low:g} {text}" if low == high else f"{name}: {low:g} {text} to {high:g} {text}"
+    return (
+        f"{name}: {number_text(low, 6)} {text}"
+        if low == high
+        else f"{name}: {number_text(low, 6)} {text} to {number_text(high, 6)} {text}"
+    )
 
 
 def _sources_table(found: Certificate) -> Table | None:
@@ -397,7 +401,7 @@ def _numbers_table(number_list: NumberList) -> Table | None:
     """Return one list of single numbers."""
     columns: list[TableColumn[CertifiedNumber]] = [
         page_column("quantity", lambda figure: figure.name, "l"),
-        page_column("value ± U", lambda f: quantity_html(f.value, f.expanded, "" if f.unit == "1" else f.unit)),
+        page_column("value ± U", lambda f: quantity_text(f.value, f.expanded, "" if f.unit == "1" else f.unit)),
         page_column("k", lambda figure: factor_text(figure.k)),
     ]
     return table(number_list.name, columns, number_list.numbers)
@@ -408,16 +412,16 @@ def _element_table(element: CertifiedElement) -> Table | None:
     unit = sensitivity_unit(element.unit, element.component)
     exponent = common_exponent(np.array([complex(value.element.re, value.element.im) for value in element.values]))
 
-    def magnitude(value: CertifiedValue) -> Markup:
+    def magnitude(value: CertifiedValue) -> str:
         polar = value.element
         if polar.region.holds_zero:
             return half_axes(polar.region, exponent)
-        return scaled_html(polar.magnitude, value.expanded_magnitude, exponent)
+        return scaled_text(polar.magnitude, value.expanded_magnitude, exponent)
 
-    def phase(value: CertifiedValue) -> Markup:
+    def phase(value: CertifiedValue) -> str:
         if value.has_phase:
-            return quantity_html(value.element.phase_rad, value.expanded_phase_rad)
-        return Markup(WEAK if value.element.region.holds_zero else DASH)
+            return quantity_text(value.element.phase_rad, value.expanded_phase_rad)
+        return WEAK if value.element.region.holds_zero else DASH
 
     def factors(value: CertifiedValue) -> str:
         if value.element.region.holds_zero:

@@ -5,32 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from datetime import date as Date
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
+from fusion.base import count_text
 from fusion.errors import InputError
-from fusion.report.figure import COLOURS, GREY, Figure, empty_figure, frequency_axis, padded_limits
+from fusion.report.figure import COLOURS, GREY, RED, Figure, empty_figure, frequency_axis, padded_limits
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.table import (
-    TableColumn,
-    csv_text,
-    finite_or_none,
-    page_column,
-    quantity_html,
-    signed_text,
-    small,
-    table,
-    text_column,
-)
+from fusion.report.table import Headline, TableColumn, csv_text, finite_or_none, page_column, table, text_column
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import ComparedResult, read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
 from fusion.sensor.compare.named_tables import read_tables
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
+from shakercal._common.digits import number_text, quantity_text, signed_text, small
 
 
 class ResultRow(NamedTuple):
@@ -97,6 +90,10 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
                 x = np.array([f.frequency_hz for f in of_result])
                 y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
                 panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
+        panel.rule([-1.0, 1.0], "limits ±1", colour=RED, dashed=True, width=1.0)
+        normalised = [found.reference.normalised for found in of_quantity]
+        reach = float(np.nanmax(np.abs(np.concatenate([[1.0], *normalised]))))
+        panel.y.limits = (-1.15 * reach, 1.15 * reach)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
@@ -136,7 +133,7 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
         reach = []
         for index, line in enumerate([lines[n] for n in chosen]):
             factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
-            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[index % len(COLOURS)]
+            label, colour = f"{number_text(line.frequency_hz, 5)} Hz", COLOURS[index % len(COLOURS)]
             dates = line.year + 0.006 * index * span
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
@@ -174,7 +171,7 @@ def _reference_text(found: ComparedQuantity) -> str:
     reference = found.reference
     if not reference.used.any():
         return "none, results are contradictory"
-    return quantity_html(reference.value, 2.0 * reference.u, found.unit)
+    return quantity_text(reference.value, 2.0 * reference.u, found.unit)
 
 
 def _left_out(found: ComparedQuantity) -> str:
@@ -200,7 +197,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     changes: list[TableColumn[ComparedQuantity]] = [
         *columns[:3],
-        page_column(DRIFT, lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
+        page_column(DRIFT, lambda f: quantity_text(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
     ]
     titles: dict[str, list[SharedInput]] = {}
     for item in evaluation.shared:
@@ -227,8 +224,23 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     }
 
 
+def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
+    """Return whether the results agree, and the largest difference over its U."""
+    found = evaluation.quantities
+    above = sum(one.largest > 1.0 for one in found)
+    worst = max(found, key=lambda one: one.largest)
+    pairs = list(combinations(range(len(worst.names)), 2))
+    first, second = max(pairs, key=lambda pair: abs(float(worst.normalised[pair])))
+    value = f"U covers all {len(found)} values" if not above else f"U does not cover {above} of {len(found)} values"
+    size = f"largest |E_n| of a pair {signed_text(worst.largest)}: {worst.names[first]} and {worst.names[second]}"
+    what = f"{worst.quantity} of {worst.channel} per {worst.component}, {worst.frequency_hz:.4f} Hz"
+    return [Headline("Results agree" if not above else "Results differ", value, f"{size}, {what}")]
+
+
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
     """Yield the printed lines."""
+    for line in verdict(evaluation):
+        yield f"{line.label}: {line.value} ({line.remark})"
     for quantity in ("magnitude", "phase"):
         of_quantity = [found for found in evaluation.quantities if found.quantity == quantity]
         if of_quantity:
@@ -238,7 +250,7 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
             opposite_sign = dict.fromkeys(name for found in of_quantity for name in found.opposite_sign)
             if opposite_sign and quantity == "phase":
                 counts += f"; sign (180°) of {', '.join(opposite_sign)} changed"
-            yield f"{quantity}: {len(of_quantity)} values compared, {counts}"
+            yield f"{quantity}: {count_text(len(of_quantity), 'value')} compared, {counts}"
     if evaluation.shared:
         yield f"shared inputs: {'; '.join(list_titles(evaluation.shared))}"
     if evaluation.unmatched:
@@ -264,6 +276,7 @@ COMPARE = CommandReport(
     _fill,
     _context,
     printed,
+    headlines=verdict,
 )
 
 
