@@ -261,6 +261,7 @@ def _certificate_options(parser: Parser) -> None:
         "results of run, rotate, identify or step (default: results in the folder, else that of a command)",
     )
     parser.switch("--draft", "only write a certificate.toml to fill in")
+    parser.switch("--specimen", "a specimen of simulated recordings, marked on every page and in the XML")
     parser.results("folder certificate in the recording or campaign")
 
 
@@ -279,6 +280,7 @@ def certificate(options: argparse.Namespace) -> None:
         options.form,
         force=options.force,
         allow_outside=options.allow_outside,
+        specimen=options.specimen,
     )
 
 

@@ -271,7 +271,7 @@ def half_axes(region: CoverageRegion, exponent: int | None = None) -> Markup:
         return Markup(DASH)
     large, small_axis = region.half_axes
     first = round_to_uncertainty(large, large, exponent)
-    second = round_to_uncertainty(small_axis, large, first.exponent)
+    second = round_to_uncertainty(small_axis, small_axis, first.exponent)
     power = times_ten(first.exponent, "") if exponent is None and first.exponent else Markup("")
     return Markup("region ± {}, ± {}{}").format(
         first.value, second.value, Markup(" × {}").format(power) if power else ""
