@@ -282,3 +282,19 @@ NOT_A_SPECIMEN = DeclaredNotice(
     remedy="Omit `--specimen`.",
     link="certificate.md",
 )
+WRONG_SIGNATURE = DeclaredNotice(
+    "SC-966",
+    "error",
+    "expected a signature by the key of the X.509 certificate in it, found another one ({reason})",
+    effect="The signer is not the one that the file states.",
+    remedy="Ask the laboratory for the original file.",
+    link="certificate.md",
+)
+OTHER_PAGE = DeclaredNotice(
+    "SC-967",
+    "error",
+    "expected the page whose hash the XML states, found a page with another one",
+    effect="What people read may differ from what was certified.",
+    remedy="Ask the laboratory for the original page.",
+    link="certificate.md",
+)

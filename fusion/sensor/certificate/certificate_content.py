@@ -8,6 +8,8 @@ from datetime import date as Date
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from fusion.campaign.curve import CurvePoint
 from fusion.campaign.recording_results import SensorFacts
 from fusion.estimation.coverage import COVERAGE, Polar
@@ -40,7 +42,7 @@ class CertifiedValue:
 
     U of the magnitude and of the phase (rad). U is k·u with `k` and `k_phase` of the form, and at least the stated
     capability. `has_phase`: whether magnitude and phase are determined; otherwise only the complex value and its region
-    are. `amplitude`: smallest and largest amplitude of the load, N or N·m.
+    are. `amplitude`: smallest and largest amplitude of the load, N or N·m, NaN if not known.
     """
 
     frequency_hz: float
@@ -50,7 +52,7 @@ class CertifiedValue:
     k: float
     k_phase: float
     has_phase: bool
-    amplitude: tuple[float, float]
+    amplitude: tuple[float, float] = (np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class CertificateContent:
     elements: tuple[CertifiedElement, ...] = ()
     numbers: tuple[NumberList, ...] = ()
     warnings: tuple[Notice, ...]
-    acknowledged: tuple[tuple[Notice, int], ...]
+    acknowledged: tuple[tuple[Notice, int], ...] = ()
     not_assessed: tuple[str, ...]
     versions: dict[str, str]
 
@@ -160,10 +162,10 @@ class Certificate(CertificateContent):
     procedure: str
     conditions: tuple[tuple[str, str, float, float], ...]
     sources: tuple[UnderlyingCertificate, ...]
-    loads: tuple[CertifiedLoad, ...]
-    down: tuple[tuple[float, ...], ...]
-    centre_m: tuple[float, ...]
-    specimen: bool
+    loads: tuple[CertifiedLoad, ...] = ()
+    down: tuple[tuple[float, ...], ...] = ()
+    centre_m: tuple[float, ...] = ()
+    specimen: bool = False
 
     @property
     def number(self) -> str:

@@ -112,14 +112,16 @@ laboratory = ""
 """Template written by `--draft`; empty texts are to be filled in, METHOD is that of the results."""
 METHOD = """\
 The item carries a load mass and is excited by sinusoidal motion of a shaker; force and moment follow from the mass
-matrix of the load and its acceleration. The sensitivity is the complex amplitude of the output over that of the load."""
+matrix of the load and its acceleration. The sensitivity is the complex amplitude of the output over that of the
+load."""
 """Method of results of `run`, in two sentences."""
 
 
 def _printable(text: str) -> str:
     """Refuse characters that XML cannot represent; lines become one."""
     spaced = " ".join(text.split())
-    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 or ord(letter) in (0xFFFE, 0xFFFF) for letter in spaced):
+    refused = (*range(32), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF)
+    if any(ord(letter) in refused for letter in spaced):
         raise refusal("a text of printable letters", repr(text)[:60])
     return spaced
 

@@ -105,7 +105,8 @@ def _condition(name: str, unit: str, low: float, high: float) -> str:
 def _equipment_table(found: Certificate) -> Table | None:
     """Return references and instruments with their certificates, then those that only inputs name."""
     named = {one.certificate for one in found.form.equipment}
-    rows = [*found.form.equipment, *(source for source in found.sources if source.certificate not in named)]
+    rows: list[CertifiedEquipment | UnderlyingCertificate] = [*found.form.equipment]
+    rows += [source for source in found.sources if source.certificate not in named]
     columns: list[TableColumn[CertifiedEquipment | UnderlyingCertificate]] = [
         page_column("use", lambda one: one.use if isinstance(one, CertifiedEquipment) else "input", "l"),
         page_column("equipment", _equipment, "l"),
@@ -224,12 +225,10 @@ def _magnitude_and_phase(value: CertifiedValue, exponent: int) -> tuple[str, str
     if value.has_phase:
         size = scaled_html(polar.magnitude, value.expanded_magnitude, exponent)
         return size, scaled_html(polar.phase_rad, value.expanded_phase_rad, 0)
-    re, im = (
-        round_to_uncertainty(part, reach, exponent).value
-        for part, reach in ((polar.re, polar.region_re), (polar.im, polar.region_im))
-    )
-    sign, size = ("\N{MINUS SIGN}", im[1:]) if im.startswith("\N{MINUS SIGN}") else ("+", im)
-    return f"{re} {sign} {size} j", half_axes(polar.region, exponent)
+    re = round_to_uncertainty(polar.re, polar.region_re, exponent).value
+    im = round_to_uncertainty(polar.im, polar.region_im, exponent).value
+    sign, part = ("\N{MINUS SIGN}", im[1:]) if im.startswith("\N{MINUS SIGN}") else ("+", im)
+    return f"{re} {sign} {part} j", half_axes(polar.region, exponent)
 
 
 def _factors(value: CertifiedValue) -> str:
@@ -245,26 +244,45 @@ Row = tuple[CertifiedElement, int]
 
 def _driven(found: Certificate) -> Iterator[Table | None]:
     """Yield the main elements with load, deviation from static and conformity."""
-    matrix = found.is_matrix
     mains = [element for element in found.elements if element.main]
-    for group in [mains] if matrix else [[element] for element in mains]:
-        rows = [(element, index) for element in group for index in range(len(element.values))]
-        columns = [
+    if found.is_matrix:
+        yield _driven_of_matrix(mains)
+        return
+    for element in mains:
+        columns: list[TableColumn[Row]] = [
             page_column("frequency / Hz", lambda row: f"{_value(row).frequency_hz:.4f}"),
             page_column("amplitude of the load", _amplitude),
+            *_value_columns(element),
         ]
-        if matrix:
-            caption = "Driven elements: load, and deviation from the static sensitivity"
-            columns.insert(0, page_column("element", lambda row: f"{row[0].channel} per {row[0].component}", "l"))
-        else:
-            caption = group[0].name
-            columns += _value_columns(group[0])
-        if all(element.deviation for element in group):
-            columns.append(page_column("from static / %", _deviation))
-        if all(element.verdicts for element in group):
-            columns.append(page_column("conforms", _verdict, "l"))
-        if not matrix or len(columns) > 2:
-            yield table(caption, columns, rows)
+        columns += [page_column("from static / %", _deviation)] if element.deviation else []
+        columns += [page_column("conforms", _verdict, "l")] if element.verdicts else []
+        yield table(element.name, columns, [(element, index) for index in range(len(element.values))])
+
+
+def _driven_of_matrix(mains: Sequence[CertifiedElement]) -> Table | None:
+    """Return the main elements in rows and frequencies in columns: load, deviation from static, conformity."""
+
+    def column(frequency: float) -> TableColumn[CertifiedElement]:
+        def cell(element: CertifiedElement) -> str:
+            index = next((k for k, one in enumerate(element.values) if one.frequency_hz == frequency), None)
+            return DASH if index is None else _checks((element, index))
+
+        return page_column(f"{frequency:.4f} Hz", cell)
+
+    frequencies = sorted({value.frequency_hz for element in mains for value in element.values})
+    name = page_column("", lambda element: f"{element.channel} per {element.component}", "l")
+    caption = "Driven elements: amplitude of the load"
+    caption += "; deviation from the static sensitivity ± U" if any(element.deviation for element in mains) else ""
+    caption += "; whether it conforms" if any(element.verdicts for element in mains) else ""
+    return table(caption, [name, *map(column, frequencies)], mains)
+
+
+def _checks(row: Row) -> str:
+    """Return load, deviation from static and conformity of a value in one line."""
+    parts = [_amplitude(row)]
+    parts += [f"({_deviation(row)}) %"] if row[0].deviation else []
+    parts += [_verdict(row)] if row[0].verdicts else []
+    return "; ".join(parts)
 
 
 def _value(row: Row) -> CertifiedValue:

@@ -11,9 +11,9 @@ from fusion.sensor.certificate.certificate_evaluation import evaluate_certificat
 from fusion.sensor.certificate.certificate_form import FORM_FILE, METHOD, NEW_FORM
 from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS, find_command, find_results_folder
 from fusion.sensor.certificate.certificate_page import certificate_page
-from fusion.sensor.certificate.certificate_xml import certificate_xml
+from fusion.sensor.certificate.certificate_xml import PAGE_FILE, certificate_xml
 
-XML_FILE, PAGE_FILE = "certificate.xml", "certificate.html"
+XML_FILE = "certificate.xml"
 
 
 def run_certificate(

@@ -36,7 +36,8 @@ OUTPUT, LOAD, AMPLITUDE, DEVIATION = (
 )
 EQUIPMENT = {"reference": "basic_normalUsed", "measuring": "force_measuringInstrument"}
 AMPLIFIER, MOUNTING = "force_bridgeAmplifier", "force_mounting"
-PAGE_HASH = "certificate.html, SHA-256 "
+PAGE_FILE = "certificate.html"
+PAGE_HASH = f"{PAGE_FILE}, SHA-256 "
 REF_TYPES = {
     MAGNITUDE: "Magnitude of the complex sensitivity, output per force or moment",
     PHASE: "Phase of the complex sensitivity, of x(t) = Re{X exp(+j omega t)}",
@@ -263,7 +264,8 @@ def _result(found: Certificate, name: str, elements: Sequence[CertifiedElement])
         quantities += _magnitude_and_phase(name, values, unit)
     quantities.append(_complex(name, values, unit, squared))
     mains = [element for element in elements if element.main]
-    further = [D.influenceConditions(*map(_amplitudes, mains))] if mains else []
+    loaded = [element for element in mains if np.isfinite([value.amplitude for value in element.values]).all()]
+    further = [D.influenceConditions(*map(_amplitudes, loaded))] if loaded else []
     checks = [_deviation(element) for element in mains if element.deviation]
     further += [D.measurementMetaData(*checks)] if checks else []
     table = {"refType": f"basic_{3 if several else 1}IndexTable"}
