@@ -1,4 +1,4 @@
-"""Signer of a certificate: key and X.509 certificate of its XML signature, checked with `signxml` if installed."""
+"""Signer of a certificate: key and X.509 certificate of its XML signature, checked with `signxml`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Signer:
 
 
 def verify_signer(path: Path) -> Signer:
-    """Return the signer of a file with one signature, whose value its key must have made.
+    """Return the signer of a file with one signature of that key.
 
     Raises `NoSignatureLibrary`; `InvalidSigner` if the value is of another key; `ValueError` with the reason if it
     cannot be checked.

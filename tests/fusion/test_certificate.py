@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -264,3 +265,26 @@ def test_an_unknown_unit_is_refused() -> None:
 
 def test_the_document_shows_the_draft() -> None:
     assert NEW_FORM.replace("METHOD", METHOD) in examples((DOCS / "certificate.md").read_text(encoding="utf-8"))
+
+
+def test_every_clause_of_the_auditors_list_is_found_in_the_xml(certified: tuple[Path, str]) -> None:
+    """Clauses of ISO/IEC 17025:2017, 7.8.2.1 a to p and 7.8.4.1 a to f; each element that the list names exists."""
+    document = (DOCS / "certificate.md").read_text(encoding="utf-8").partition("## An auditor's list")[2]
+    table = [
+        line.strip("|").split("|") for line in document.partition("\n## ")[0].splitlines() if line.startswith("| ")
+    ]
+    clauses = [row[0].strip() for row in table[1:]]
+    general, calibration = clauses.index("7.8.2.1 a"), clauses.index("7.8.4.1 a")
+    assert clauses[general : general + 16] == ["7.8.2.1 a", *"bcdefghijklmnop"]
+    assert clauses[calibration : calibration + 6] == ["7.8.4.1 a", *"bcdef"]
+    root = etree.parse(certified[0] / "certificate" / "certificate.xml").getroot()
+    tags = {etree.QName(element).localname for element in root.iter(etree.Element)}
+    names = {name for row in table[1:] for name in re.findall(r"`(\w+)`", row[-1])}
+    assert len(names) > 15
+    assert names <= tags, names - tags
+    statements = set(texts(root, ".//dcc:statement/dcc:name/dcc:content"))
+    page = (certified[0] / "certificate" / "certificate.html").read_text(encoding="utf-8")
+    for row in table[1:]:
+        for name in re.findall(r"Statements, (\w+(?: \w+)?)", row[3]):
+            assert name == "Remarks" or name in statements, name
+            assert name == "Remarks" or f"<dt>{name}</dt>" in page, name

@@ -214,7 +214,7 @@ def _exponent(elements: Sequence[CertifiedElement]) -> int:
 
 
 def _cell(value: CertifiedValue, exponent: int) -> Markup:
-    """Return a value in three lines: magnitude, phase and k, or complex value, region and k."""
+    """Return the lines of a value: magnitude, phase, k, or complex value, region, k."""
     factor = Markup('<span class="below">{}</span>').format(_factors(value))
     return Markup("<br>").join([*_magnitude_and_phase(value, exponent), factor])
 
@@ -270,7 +270,7 @@ def _driven_of_matrix(mains: Sequence[CertifiedElement]) -> Table | None:
         return page_column(f"{frequency:.4f} Hz", cell)
 
     frequencies = sorted({value.frequency_hz for element in mains for value in element.values})
-    name = page_column("", lambda element: f"{element.channel} per {element.component}", "l")
+    name: TableColumn[CertifiedElement] = page_column("", lambda one: f"{one.channel} per {one.component}", "l")
     caption = "Driven elements: amplitude of the load"
     caption += "; deviation from the static sensitivity ± U" if any(element.deviation for element in mains) else ""
     caption += "; whether it conforms" if any(element.verdicts for element in mains) else ""

@@ -15,7 +15,10 @@ from fusion.sensor.certificate.certificate_xml import PAGE_FILE, PAGE_HASH
 
 
 def verify_certificate(path: Path) -> None:
-    """Print who signed what of a certificate, and what was not checked; `InputError` if it was changed."""
+    """Print who signed what of a certificate, and what was not checked.
+
+    Raises `InputError` for changed content, another key, or another page.
+    """
     certificate = read_dcc(path)
     origin = ", ".join(filter(None, (certificate.laboratory, str(certificate.date or ""))))
     found = [*_signature(path, [notice.text for notice in certificate.signature_notices]), *_page(path)]
