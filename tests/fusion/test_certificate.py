@@ -8,9 +8,11 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from browsing import Page
 from certificates import FORM, NAMES, SCHEMA, acknowledged, broken_rules, texts
 from lxml import etree
 from support import DOCS, RefusedCommand, edit, examples, rows, without_pages
@@ -239,6 +241,26 @@ def test_many_frequencies_make_lists_of_equal_length(certified: tuple[Path, str]
     }
     assert lengths == {200}
     assert certificate_page(found).count("<tr>") > 200
+
+
+def test_a_curve_prints_on_three_pages(certified: tuple[Path, str], browser: Any, tmp_path: Path) -> None:
+    """Six outputs at twelve frequencies, with every figure and budget."""
+    found = evaluate_certificate(certified[0])
+    curves = []
+    for element in found.elements:
+        frequencies = [80.0 + 20.0 * index for index in range(12)]
+        values = tuple(replace(element.values[0], frequency_hz=frequency) for frequency in frequencies)
+        points = tuple(replace(element.points[0], frequency_hz=frequency) for frequency in frequencies)
+        lists = {"deviation": element.deviation * 12, "verdicts": element.verdicts * 12}
+        curves.append(replace(element, values=values, points=points, **lists))
+    page = tmp_path / "certificate.html"
+    page.write_text(certificate_page(replace(found, elements=tuple(curves))), encoding="utf-8")
+    opened = Page(browser, page)
+    assert opened.page.locator("figure img").count() == 1
+    opened.page.pdf(path=tmp_path / "certificate.pdf", prefer_css_page_size=True, print_background=True)
+    pages = re.findall(rb"/Type\s*/Page\b(?!s)", (tmp_path / "certificate.pdf").read_bytes())
+    assert 1 < len(pages) <= 3
+    opened.close()
 
 
 @pytest.mark.parametrize(

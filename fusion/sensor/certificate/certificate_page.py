@@ -14,6 +14,7 @@ from fusion.report.folder import render_page
 from fusion.report.table import (
     Table,
     TableColumn,
+    capitalise,
     common_exponent,
     degrees_of_freedom,
     factor_text,
@@ -72,7 +73,7 @@ def certificate_page(found: Certificate) -> str:
         "laboratory": _address(form.laboratory),
         "customer": _address(form.customer),
         "period": f"{found.begin}" if found.begin == found.end else f"{found.begin} to {found.end}",
-        "conditions": [_condition(*row) for row in found.conditions],
+        "conditions": capitalise("; ".join(_condition(*row) for row in found.conditions)),
         "equipment": _equipment_table(found),
         "loads": _loads_table(found.loads),
         "axes": _axes(found),
@@ -99,7 +100,8 @@ def _address(party: Party) -> list[str]:
 def _condition(name: str, unit: str, low: float, high: float) -> str:
     """Return a condition as text."""
     text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
-    return f"{name}: {low:g} {text}" if low == high else f"{name}: {low:g} {text} to {high:g} {text}"
+    name = name[:1].lower() + name[1:]
+    return f"{name} {low:g} {text}" if low == high else f"{name} {low:g} {text} to {high:g} {text}"
 
 
 def _equipment_table(found: Certificate) -> Table | None:
