@@ -177,7 +177,8 @@ def test_the_deviation_from_static_is_that_of_the_campaign_page(campaign: Path) 
     found = evaluate_certificate(campaign, specimen=True)
     expected = matrix_rows(campaign)
     for element in (one for one in found.elements if one.main):
-        for value, (size, expanded) in zip(element.values, element.deviation, strict=True):
+        for value, (size, expanded, k) in zip(element.values, element.deviation, strict=True):
             row = expected[value.frequency_hz, element.channel, element.component]
             assert size == pytest.approx(float(row["relative"]) - 1.0, abs=1e-12)
             assert expanded == pytest.approx(float(row["U_relative"]), rel=1e-12)
+            assert expanded / k == pytest.approx(float(row["u_relative"]), rel=1e-12)

@@ -73,7 +73,8 @@ class CertifiedElement:
     unit : of the output.
     kind : element, matrix, or ratio (output over load, without correction for other loads).
     main : whether the output belongs to the load.
-    deviation, verdicts : of every value; empty without a static sensitivity or a limit.
+    deviation : relative, with U and k, of every value; empty without a static sensitivity.
+    verdicts : of every deviation; empty without a limit.
     budget : of the value of a main element with the largest relative U.
     points : of the curve, as its figure needs them.
     """
@@ -84,7 +85,7 @@ class CertifiedElement:
     kind: str
     main: bool
     values: tuple[CertifiedValue, ...]
-    deviation: tuple[tuple[float, float], ...] = ()
+    deviation: tuple[tuple[float, float, float], ...] = ()
     verdicts: tuple[Verdict, ...] = ()
     budget: CertifiedBudget | None = None
     points: tuple[CurvePoint, ...] = ()
@@ -150,8 +151,9 @@ class CertificateContent:
 class Certificate(CertificateContent):
     """All content of a certificate, for XML and page.
 
-    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, smallest and largest value; `down`: unit
-    vectors of gravity in sensor axes; `centre_m`: of the load; `specimen`: whether recordings are simulated.
+    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, smallest and largest value; `loads`: of
+    sensitivities; `down`: unit vectors of gravity in sensor axes; `centre_m`: of the load; `specimen`: whether
+    recordings are simulated.
     """
 
     form: Form

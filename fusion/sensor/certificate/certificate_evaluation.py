@@ -139,7 +139,7 @@ def _certificate(content: CertificateContent, form: Form, manifests: Sequence[Ma
         procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
         conditions=tuple(_conditions(form, manifests)),
         sources=_sources([item for manifest in manifests for item in manifest.inputs]),
-        loads=_loads(manifests),
+        loads=_loads(manifests) if content.elements else (),
         down=tuple(dict.fromkeys(down)),
         centre_m=() if load is None else load.centre_of_mass,
         specimen=any(is_simulated(manifest) for manifest in manifests),
@@ -291,19 +291,19 @@ def _budget(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> Cer
     return None
 
 
-def _deviation(points: Sequence[CurvePoint], form: Form) -> tuple[tuple[float, float], ...]:
-    """Return relative deviations from the static sensitivity with U; none without one."""
+def _deviation(points: Sequence[CurvePoint], form: Form) -> tuple[tuple[float, float, float], ...]:
+    """Return relative deviations from the static sensitivity with U and k; none without one."""
     if any(point.relative is None for point in points):
         return ()
     found, least = [point.relative for point in points if point.relative is not None], form.laboratory.cmc.magnitude
     k = [relative.k if form.k == "effective" else 2.0 for relative in found]
     return tuple(
-        (relative.magnitude - 1.0, max(factor * relative.u_magnitude, least * relative.magnitude))
+        (relative.magnitude - 1.0, max(factor * relative.u_magnitude, least * relative.magnitude), factor)
         for factor, relative in zip(k, found, strict=True)
     )
 
 
-def _verdicts(deviation: Sequence[tuple[float, float]], limit: Conformity | None) -> tuple[Verdict, ...]:
+def _verdicts(deviation: Sequence[tuple[float, float, float]], limit: Conformity | None) -> tuple[Verdict, ...]:
     """Return the conformity of relative deviations with U.
 
     ISO/IEC 17025:2017, 7.8.6; ILAC-G8:09/2019: "simple" accepts up to the limit, "guarded" up to the limit less U.
@@ -312,7 +312,7 @@ def _verdicts(deviation: Sequence[tuple[float, float]], limit: Conformity | None
         return ()
     guard = 1.0 if limit.rule == "guarded" else 0.0
     return tuple(
-        "pass" if abs(value) + guard * expanded <= limit.tolerance else "fail" for value, expanded in deviation
+        "pass" if abs(value) + guard * expanded <= limit.tolerance else "fail" for value, expanded, _ in deviation
     )
 
 

@@ -144,7 +144,7 @@ def _list_and_name(command: str, row: Mapping[str, str]) -> tuple[str, str]:
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
         is_certified = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
-        where = "Masses and centres of mass of the sensor under test and its load"
+        where = "Masses and centres of mass of the item and its load"
         return where, f"{name}{axis}" if is_certified else ""
     if command == "identify":
         return f"Mechanics along {component}", "" if "stated beforehand" in row["method"] else name

@@ -299,7 +299,7 @@ def _amplitude(row: Row) -> str:
 
 
 def _deviation(row: Row) -> str:
-    size, expanded = row[0].deviation[row[1]]
+    size, expanded, _ = row[0].deviation[row[1]]
     return scaled_html(100.0 * size, 100.0 * expanded, 0)
 
 
@@ -376,7 +376,7 @@ def _joint_figure(mains: Sequence[CertifiedElement]) -> Figure:
         size, expanded = np.array([(v.element.magnitude, v.expanded_magnitude) for v in element.values]).T
         ratio, half = size / size[0] - 1.0, expanded / size[0]
         if static:
-            ratio, half = np.array(element.deviation).T
+            ratio, half, _ = np.array(element.deviation).T
         turn, u_turn = np.array([(v.element.phase_rad, v.expanded_phase_rad) for v in element.values]).T
         look = {
             "colour": COLOURS[number % len(COLOURS)],

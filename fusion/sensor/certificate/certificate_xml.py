@@ -306,8 +306,7 @@ def _amplitudes(element: CertifiedElement) -> etree._Element:
 
 def _deviation(element: CertifiedElement) -> etree._Element:
     """Return the deviation from the static sensitivity over frequency with U, and its conformity."""
-    sizes, expanded = (list(column) for column in zip(*element.deviation, strict=True))
-    factors = [value.k for value in element.values]
+    sizes, expanded, factors = (list(column) for column in zip(*element.deviation, strict=True))
     numbers = _quantity(DEVIATION, "Deviation", _numbers(sizes), r"\one", (expanded, factors))
     judged = [D.conformityXMLList(" ".join(element.verdicts))] if element.verdicts else []
     name = _text("name", f"{element.name}: deviation of the magnitude from the static sensitivity")
