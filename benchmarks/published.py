@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
 
-from fusion.base import Settings, round_to_uncertainty
+from fusion.base import Settings
 from fusion.campaign.curve import ratio_curves
 from fusion.campaign.excited_line import ExcitedLine, excited_lines_of, with_starts
 from fusion.estimation.coverage import Polar, polar
@@ -39,6 +39,7 @@ from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from shaker.sine.phasor import derivative_factor
 from shaker.sine.sine_fit import fit_sines
+from shakercal._common.digits import round_to_uncertainty
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -1,10 +1,9 @@
-"""Definitions of every stage: settings, single files, clean-up on signals, printed numbers."""
+"""Definitions of every stage: settings, single files, clean-up on signals, prefixes of units."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import os
 import platform
 import re
@@ -320,52 +319,14 @@ class CheckpointStore(Protocol):
         """Store content until the results are written, and return whether it succeeded."""
 
 
-# Format of numbers: two digits of the uncertainty, with powers of ten or SI prefixes.
+# Factors and prefixes of displayed units.
 
 
 K2 = 2.0
 """Coverage factor if degrees of freedom are not considered (GUM 6.3.3)."""
 MILLI, GRAM, PERCENT = 1e3, 1e3, 100.0
 """Factors from SI units to displayed units: mm, ms or mrad; g; %."""
-LARGEST_PLAIN = 1e5
-SMALLEST_PLAIN = 1e-2
-DASH = "–"
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-
-
-class RoundedValue(NamedTuple):
-    """A value and its expanded uncertainty as decimal texts, both times 10^`exponent`."""
-
-    value: str
-    expanded: str
-    exponent: int
-
-    @property
-    def text(self) -> str:
-        """Value and uncertainty for the terminal: `(2.0012 ± 0.0013)e-7`."""
-        body = self.value if self.expanded == DASH else f"({self.value} ± {self.expanded})"
-        return f"{body}e{self.exponent}" if self.exponent else body
-
-
-def round_to_uncertainty(value: float, expanded: float, exponent: int | None = None) -> RoundedValue:
-    """Return a value rounded to two significant digits of its expanded uncertainty (GUM 7.2.6).
-
-    `exponent`: power of ten to remove; by default none for sizes from 0.01 to 100 000, else that of the larger of the
-    two. Without a finite uncertainty the value has five significant digits and the uncertainty is a dash.
-    """
-    if not math.isfinite(value):
-        return RoundedValue(DASH, DASH, 0)
-    usable = math.isfinite(expanded) and expanded > 0.0
-    size = max(abs(value), expanded if usable else 0.0)
-    plain = size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN
-    power = exponent if exponent is not None else 0 if plain else math.floor(math.log10(size))
-    texts = [f"{value * 10.0**-power:.5g}", DASH]
-    if usable:
-        # A negative number of decimal places rounds to tens or hundreds.
-        decimals = 1 - int(f"{expanded * 10.0**-power:.1e}".partition("e")[2])
-        texts = [f"{round(x * 10.0**-power, decimals):.{max(decimals, 0)}f}" for x in (value, expanded)]
-    signed = texts[0].lstrip("-") if not texts[0].strip("-0.") else texts[0].replace("-", "\N{MINUS SIGN}")
-    return RoundedValue(signed, texts[1], power)
 
 
 def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:

@@ -1,8 +1,7 @@
-"""Names and units of axes, motions and loads, and their typography."""
+"""Names and units of axes, motions and loads."""
 
 from __future__ import annotations
 
-import re
 from typing import NamedTuple
 
 AXES = ("x", "y", "z")
@@ -42,8 +41,3 @@ def mechanical_units(component: str) -> MechanicalUnits:
     """Return the units of spring, damper and mass for a force or moment."""
     turning = component.startswith("M")
     return MechanicalUnits(*(("N.m/rad", "N.m.s/rad", "kg.m^2") if turning else ("N/m", "N.s/m", "kg")))
-
-
-def typeset(unit: str) -> str:
-    """Return a unit in typographic form: `kg.m^2` becomes `kg·m²`."""
-    return re.sub(r"(?<=[a-z)])\.(?=[a-z(])", "·", unit, flags=re.IGNORECASE).replace("^2", "²")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from html.parser import HTMLParser
 
+from page_numbers import number_faults
+
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 
 
@@ -44,7 +46,10 @@ def outline(page: str) -> Outline:
 
 
 def self_contained(page: str) -> Outline:
-    """Return the outline of a page that asks for nothing outside: its figures are in it, its anchors exist."""
+    """Return the outline of a page that asks for nothing outside: its figures are in it, its anchors exist.
+
+    Its numbers are printed by the one rule.
+    """
     found = outline(page)
     assert page.startswith("<!doctype html>")
     assert len(found.ids) == len(set(found.ids))
@@ -52,5 +57,7 @@ def self_contained(page: str) -> Outline:
     assert anchors <= set(found.ids)
     others = [address for address in found.addresses if not address.startswith("#")]
     assert all(address.startswith("data:image/svg+xml") for address in others)
+    faults = number_faults(page)
+    assert not faults, "\n".join(faults)
     assert not re.search(r"url\((?!%23)|@import", re.sub(r"(?s)<script.*?</script>", "", page))
     return found

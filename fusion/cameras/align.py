@@ -66,6 +66,7 @@ from photogram.geometry import RigidTransform
 from photogram.images.tiff import read_orientations, tag_notices
 from photogram.motion import RigidMotion, fit_motion
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 EFFECT_FRAMES = 12  # frames and subsets for the effect of the calibration on an axis, which is smooth
@@ -356,10 +357,10 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | 
         f"Pose of the {camera} of {file.stereo} in {frame}, from {sources}.",
         f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",
         f"Without the calibration's share: {_numbers(1e3 * exact[:3])} mm and {_numbers(1e3 * exact[3:])} mrad.",
-        f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",
+        f"chi2 = {number_text(alignment.chi2)} with {alignment.dof} degrees of freedom.",
     ]
     if alignment.enlargement > 1.0:
-        comments.append(f"The evidence is contradictory: U is enlarged by {alignment.enlargement:.3g}.")
+        comments.append(f"The evidence is contradictory: U is enlarged by {number_text(alignment.enlargement)}.")
     pose = alignment.sensor_from_camera
     name = file.stereo if file.stereo.replace("_", "").replace("-", "").isalnum() else json.dumps(file.stereo)
     lines = [f"# {comment}" for comment in comments]
@@ -373,7 +374,7 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | 
 
 def _numbers(values: FloatArray) -> str:
     """Return three values with two digits."""
-    return " ".join(f"{value:.2g}" for value in values)
+    return " ".join(number_text(value, 2) for value in values)
 
 
 def _row(values: FloatArray) -> str:

@@ -28,7 +28,6 @@ from fusion.cameras.camera_report import render_camera_report
 from fusion.errors import InputError, as_input_error
 from fusion.report.atomic_files import report_write_errors, write_atomically
 from fusion.report.folder import Provenance, hash_files
-from fusion.report.table import quantity_text
 from fusion.report.terminal import print_text
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
@@ -42,6 +41,7 @@ from photogram.images.tiff import read_orientations, tag_notices
 from photogram.targets.charuco import dictionary_of, marker_count
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target, TargetNotFound, TargetView
+from shakercal._common.digits import number_text, quantity_text
 from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
@@ -171,12 +171,12 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
     print(_of_poses(calibration, pairs, "pairs"), end=", ")
     print(f"rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
-    print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
-    print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
-    print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
+    print(f"target {number_text(min(distances))} to {number_text(max(distances))} m from the left camera")
+    print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u, 'mm')}", end=", ")
+    print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u), '°')} (U: k = 2)")
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
-            print(f"{item.name} {quantity_text(item.value, 2 * item.u)} px")
+            print(f"{item.name} {quantity_text(item.value, 2 * item.u, 'px')}")
     _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
@@ -232,7 +232,7 @@ def run_camera(
         write_camera(output, calibration)
     print(f"{_of_poses(calibration, len(calibration.views), 'views')}, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
-        print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u)} {item.unit}")
+        print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u, item.unit)}")
     _print_remarks(calibration)
     print(f"calibration: {output}")
 

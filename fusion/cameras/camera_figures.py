@@ -35,11 +35,11 @@ from fusion.report.figure import (
     empty_figure,
     padded_limits,
 )
-from fusion.report.table import signed_text
 from photogram.calibration.calibration_result import Calibration
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera
 from photogram.targets.target_view import outline
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import signed_text
 
 AROUND_IN, BAR_IN = 0.75, 0.45
 """Margin above and below panels of an image area, and height of a colour bar."""

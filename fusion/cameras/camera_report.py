@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, round_to_uncertainty
 from fusion.cameras.camera_figures import (
     draw_correlation,
     draw_coverage,
@@ -38,21 +37,20 @@ from fusion.cameras.camera_quantities import (
     working_point_m,
 )
 from fusion.report.folder import Provenance, origin_frame, render_page
-from fusion.report.table import (
-    Headline,
-    Table,
-    TableColumn,
-    page_column,
-    quantity_html,
-    signed_text,
-    small,
-    table,
-    times_ten,
-)
+from fusion.report.table import Headline, Table, TableColumn, page_column, table
 from photogram.calibration.calibration_result import CalibratedImage, Calibration, CalibrationParameter, Rejection
 from photogram.camera import RIG_PARAMETERS, ROTATION, StereoRig
 from photogram.geometry import vector_from_rotation
 from shakercal._common.arrays import IntArray
+from shakercal._common.digits import (
+    DASH,
+    number_text,
+    quantity_text,
+    round_to_uncertainty,
+    signed_text,
+    small,
+    times_ten,
+)
 
 STATES = {
     "determined": "determined",
@@ -109,9 +107,9 @@ def subject(calibration: Calibration) -> list[tuple[str, str]]:
     sizes = [
         " × ".join(str(int(n)) for n in camera.size_px) for camera in (calibration.rig.left, calibration.rig.right)
     ]
-    spacing = quantity_html(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm").striptags()
+    spacing = quantity_text(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm")
     stated = f"{spacing}, k = 2" if calibration.scale_u > 0 else f"{spacing}, its uncertainty not stated"
-    gap = f", gaps of {target.tag_spacing:g} tags" if target.tag_spacing is not None else ""
+    gap = f", gaps of {number_text(target.tag_spacing, 6)} tags" if target.tag_spacing is not None else ""
     return [
         ("Target", f"{KINDS[target.kind]}{size}{gap}"),
         ("Spacing", stated),
@@ -146,13 +144,13 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
         _views_headline(calibration),
         Headline(
             "Baseline",
-            quantity_html(1e3 * baseline.value, 2e3 * baseline.u, "mm"),
-            f"U (k = 2) = {share:.2g} %, the spacing's uncertainty {spacing}",
+            quantity_text(1e3 * baseline.value, 2e3 * baseline.u, "mm"),
+            f"U (k = 2) = {number_text(share, 2)} %, the spacing's uncertainty {spacing}",
         ),
         Headline(
             "Angle between the optical axes",
-            quantity_html(float(np.degrees(angle.value)), float(np.degrees(2.0 * angle.u)), "°").replace(" °", "°"),
-            quantity_html(1e3 * angle.value, 2e3 * angle.u, "mrad").striptags(),
+            quantity_text(float(np.degrees(angle.value)), float(np.degrees(2.0 * angle.u)), "°").replace(" °", "°"),
+            quantity_text(1e3 * angle.value, 2e3 * angle.u, "mrad"),
         ),
         *(_focal_headline(calibration, side) for side in SIDES),
         Headline(
@@ -169,12 +167,12 @@ def parameters_table(calibration: Calibration) -> Table | None:
     turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
     turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
 
-    def printed(item: CalibrationParameter) -> tuple[str, str, str, Markup]:
+    def printed(item: CalibrationParameter) -> tuple[str, str, str, str]:
         """Value, u and U with one power of ten, and their unit."""
         factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
         value, u = factor * float(turns.get(item.name, item.value)), factor * item.u
         text = round_to_uncertainty(value, 2.0 * u)
-        shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
+        shown = times_ten(text.exponent, unit) or "1"
         return text.value, round_to_uncertainty(value, u, text.exponent).expanded, text.expanded, shown
 
     def meaning(item: CalibrationParameter) -> str:
@@ -294,7 +292,7 @@ def views_table(calibration: Calibration) -> Table | None:
     tilt = np.degrees(np.linalg.norm(tilts_rad(calibration), axis=1))
     turn = np.degrees(turns_rad(calibration))
     lengths = (distance_m(calibration, view) for view in calibration.views)
-    distances = [quantity_html(1e3 * length.value, 2e3 * length.u) for length in lengths]
+    distances = [quantity_text(1e3 * length.value, 2e3 * length.u) for length in lengths]
 
     every = calibration.target.points
 
@@ -350,9 +348,9 @@ def _focal_headline(calibration: Calibration, side: Side) -> Headline:
     fx, fy = (item for item in calibration.parameters if item.name in (f"{side}.fx", f"{side}.fy"))
     size = camera_of(calibration.rig, side)[0].size_px
     field = [2.0 * np.degrees(np.arctan(0.5 * n / item.value)) for n, item in zip(size, (fx, fy), strict=True)]
-    down = quantity_html(fy.value, 2.0 * fy.u, "px").striptags()
+    down = quantity_text(fy.value, 2.0 * fy.u, "px")
     remark = f"fy = {down}; field of view {field[0]:.1f}° × {field[1]:.1f}°"
-    return Headline(f"Focal length fx of the {side} camera", quantity_html(fx.value, 2.0 * fx.u, "px"), remark)
+    return Headline(f"Focal length fx of the {side} camera", quantity_text(fx.value, 2.0 * fx.u, "px"), remark)
 
 
 def render_camera_report(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> str:

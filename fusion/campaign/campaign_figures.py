@@ -31,8 +31,9 @@ from fusion.report.figure import (
     power_of_ten,
 )
 from fusion.sensitivity.ratio import StatedMatrix
-from shaker.labels import LOAD_COMPONENTS, typeset
+from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, small, typeset
 
 OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
 MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")
@@ -181,7 +182,7 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
         panel.blank = True
     caption = (
         "Cross-talk S_ij·capacity_j / (S_ii·capacity_i) in per cent: output i under the rated load j, as a share "
-        "of its rated output. “<”: 95 % upper bound of an element not distinguishable from zero. 1: main elements."
+        "of its rated output. “<”: 95 % upper bound of an element not distinguishable from zero. 100: main elements."
     )
     return drawn.with_title("Cross-talk", caption, main=True)
 
@@ -288,12 +289,12 @@ def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
     span = np.log(scale.high / scale.low)
     for cell in np.ndindex(shown.shape):
         size, dark = float(shown[cell]), False
-        text = "1" if found.main[cell[0]] == cell[1] else "–"
+        text = "100" if found.main[cell[0]] == cell[1] else "–"
         if np.isfinite(size):
-            digits = f"{size:#.2g}".removesuffix(".") if size >= 1e-4 else f"{size:.0e}"
+            digits = small(size).removeprefix("< ")
             text = f"< {digits}" if found.holds_zero[cell] else digits
             dark = bool(np.log(max(size, scale.low) / scale.low) > DARK_ABOVE * span)
         panel.text(cell[1], cell[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
     panel.x.names, panel.y.names = tuple(found.components), tuple(found.channels)
     panel.x.grid = panel.y.grid = False
-    panel.title = f"{found.frequency_hz:.6g} Hz: outputs down, loads across, per cent"
+    panel.title = f"{number_text(found.frequency_hz, 6)} Hz: outputs down, loads across, per cent"

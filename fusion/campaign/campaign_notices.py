@@ -32,6 +32,15 @@ NO_JOINT_RESULT = DeclaredNotice(
     remedy="Check whether these recordings belong to one campaign.",
     link="campaigns.md",
 )
+UNCERTAINTY_JUMP = DeclaredNotice(
+    "SC-949",
+    "warning",
+    "U of the sensitivity to {component} at {frequency_hz:.6g} Hz is {factor:.2g} times that of its neighbours: "
+    "{U_percent:.2g} %, of whose variance {share_percent:.0f} % comes from {influence}.",
+    effect="The recording is included; its small weight in the curve follows from its U.",
+    remedy="Compare this recording with its neighbours, correct the cause, or record it again.",
+    link="campaigns.md",
+)
 
 # Unknowns of the rig that all recordings estimate together.
 

@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH
 from fusion.campaign.campaign_notices import (
     FAILED_RECORDINGS,
     MISSING_EXCITATIONS,
@@ -35,6 +34,7 @@ from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recording_results import RecordingResults, SensorFacts
 from fusion.campaign.repeats import RepeatMean, cached_mean_ratio, find_repeats, frequencies_text, repeat_notices
+from fusion.campaign.uncertainty_jumps import uncertainty_jumps
 from fusion.campaign.unknowns import JointUnknown, apply_joint_estimate
 from fusion.report.table import (
     Headline,
@@ -44,14 +44,11 @@ from fusion.report.table import (
     common_exponent,
     page_column,
     polar_cells,
-    quantity_html,
-    scaled_html,
-    small,
     table,
-    times_ten,
 )
 from fusion.report.tables import deviation, result_name
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shakercal._common.digits import DASH, quantity_text, scaled_text, small, times_ten
 from shakercal._common.notices import Notice
 
 # Joint results of a campaign: matrices, cross-talk, repeats, linearity, one curve per element.
@@ -124,6 +121,7 @@ def evaluate_campaign(
     repeats = tuple(mean for mean in excitations if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += repeat_notices(repeats)
+    notices += uncertainty_jumps(corrected if sensor is not None else (), capacity, stated)
     single = len(excitations) - len(repeats)
     if single:
         notices.append(Notice(UNREPEATED_EXCITATIONS, "repeats", single=single, count=len(excitations)))
@@ -301,7 +299,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         name = result_name(first.kind, first.channel, first.component, main=True)
         name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
         label = f"{name}, {first.frequency_hz:.4f} Hz"
-        size = quantity_html(first.element.magnitude, first.element.expanded_magnitude, first.unit)
+        size = quantity_text(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
         if len(mains) > FULL_HEADLINES or len(best) < 2:
             continue
@@ -309,7 +307,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
             label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
             remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
             found.append(Headline(label, deviation(last.relative), remark))
-        turn = quantity_html(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
+        turn = quantity_text(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
         remark = f"{last.channel} to {last.component}, {last.kind}"
         found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
@@ -349,7 +347,7 @@ def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint
 
     def from_static(point: CurvePoint) -> str:
         over = point.relative
-        return DASH if over is None else scaled_html(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
+        return DASH if over is None else scaled_text(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
 
     return [
         page_column("frequency / Hz", lambda point: f"{point.frequency_hz:.4f}"),
@@ -390,6 +388,6 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     if best is None:
         return []
     _, found, c, j = best
-    size = quantity_html(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
+    size = quantity_text(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
     return [Headline("Largest significant cross-talk", size, where)]

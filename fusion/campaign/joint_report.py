@@ -8,13 +8,13 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, count_text
+from fusion.base import count_text
 from fusion.campaign.campaign_figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.excited_line import DiskStore
@@ -58,23 +58,13 @@ from fusion.report.recording_report import (
     merged_table,
     sensitivity_elements,
 )
-from fusion.report.table import (
-    Table,
-    TableColumn,
-    csv_text,
-    number,
-    page_column,
-    polar_columns,
-    quantity_html,
-    scaled_html,
-    signed_text,
-    small,
-    table,
-    text_column,
-)
+from fusion.report.table import Table, TableColumn, csv_text, page_column, polar_columns, table, text_column
+from fusion.report.traceability import largest_of, trace_inputs, traceability
+from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import DASH, number_text, quantity_text, scaled_text, signed_text, small, typeset
 from shakercal._common.notices import gather
 
 
@@ -177,13 +167,30 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
         write_value(recordings, "reason", list(evaluation.failed.values()))
         if evaluation.sensor is not None:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
-        evidence = tuple(dict.fromkeys(row for entry in evaluation.recorded for row in entry.evidence))
-        if evidence:
+        if evidence := _evidence(evaluation):
             write_value(file, EVIDENCE, evidence)
         for name in JOINT_FIELDS:
             write_value(file, name, getattr(evaluation, name))
 
     return h5_content(fill)
+
+
+def _evidence(evaluation: CampaignEvaluation) -> tuple[InputEvidence, ...]:
+    """Return the sources of the inputs of all recordings, each once."""
+    return tuple(dict.fromkeys(row for entry in evaluation.recorded for row in entry.evidence))
+
+
+def _traceability(evaluation: CampaignEvaluation) -> dict[str, Any]:
+    """Return the inputs of the main elements, of ratios only if there is nothing else."""
+    kinds = {curve.kind for curve in evaluation.curves}
+    kind = next((kind for kind in ("matrix", "element", "ratio") if kind in kinds), None)
+    evidence = _evidence(evaluation)
+    parts, names = [], list[str]()
+    for curve in (curve for curve in evaluation.curves if curve.kind == kind):
+        mains = [e for e, (c, j) in enumerate(curve.elements) if c == main_channel(evaluation, curve.channels, j)]
+        parts.append(trace_inputs(curve.value[:, mains], curve.uncertainty.at(mains), evidence))
+        names += [curve.name(e) for e in mains]
+    return traceability(largest_of(parts), ", ".join(dict.fromkeys(names)))
 
 
 def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
@@ -212,7 +219,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         return Markup('<a href="{}">{}</a><br><span class="below">{}</span>').format(link, entry.name, entry.folder)
 
     def excitation(entry: RecordingResults) -> str:
-        direction = f",{blank}".join(f"{number:.4g}" for number in entry.direction)
+        direction = f",{blank}".join(number_text(number, 4) for number in entry.direction)
         return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
     def result(entry: RecordingResults) -> str:
@@ -225,7 +232,8 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         page_column("mounting", lambda entry: entry.mounting, "l"),
         page_column("excitation", excitation, "l"),
         page_column(
-            "frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.excited_lines) or DASH
+            "frequency / Hz",
+            lambda entry: ", ".join(number_text(d.frequency_hz, 6) for d in entry.excited_lines) or DASH,
         ),
         page_column("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
         page_column("result", result, "l"),
@@ -256,7 +264,7 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
         )
     total = tuple(f"{fit.chi2:.1f} / {fit.dof}" for fit in fits)
     rows.append((Markup("<b>χ² / degrees of freedom</b>"), "", *total))
-    head = ("recording", "mounting", *(f"{fit.frequency_hz:.6g} Hz" for fit in fits))
+    head = ("recording", "mounting", *(f"{number_text(fit.frequency_hz, 6)} Hz" for fit in fits))
     caption = "Each recording against the matrix that all others give (normalised deviation: 1 is expected)"
     return Table(caption, head, "ll" + "r" * len(fits), tuple(rows))
 
@@ -267,11 +275,11 @@ def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
     if fits:
         least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
         lines, count = [fit.frequency_hz for fit in fits], len(fits)
-        frequencies = f"At {count} frequencies from {min(lines):.6g} Hz to {max(lines):.6g} Hz"
+        frequencies = f"At {count} frequencies from {number_text(min(lines), 6)} Hz to {number_text(max(lines), 6)} Hz"
         sentences.append(
             f"{frequencies if count > 1 else f'At {lines[0]:.6g} Hz'} the recordings excite six independent loads. The "
-            f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
-            f"{least.frequency_hz:.6g} Hz; a matrix needs {MIN_SINGULAR:g}."
+            f"weakest of them is {number_text(float(least.excitation.singular[-1]))} times its standard uncertainty at "
+            f"{number_text(least.frequency_hz, 6)} Hz; a matrix needs {MIN_SINGULAR:g}."
         )
     return sentences + [notice.explanation for notice in evaluation.refused]
 
@@ -295,7 +303,9 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
     columns: list[TableColumn[RepeatMean]] = [
         page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
         page_column("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
-        page_column("amplitude", lambda found: f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}"),
+        page_column(
+            "amplitude", lambda found: f"{number_text(found.amplitude, 4)} {typeset(LOAD_UNITS[found.component])}"
+        ),
         page_column("recordings", lambda found: str(len(found.recordings))),
         page_column("mountings", lambda found: str(len(set(found.mountings)))),
         page_column("within / %", lambda found: percent(found, found.within)),
@@ -317,13 +327,13 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
         """Return the change of magnitude and phase with U, and the verdict."""
         channel = main_channel(evaluation, found.channels, found.component)
         size, u = complex(found.change[channel]), polar(1.0 + 0.0j, found.covariance[channel], found.dof)
-        magnitude = scaled_html(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
-        turn = scaled_html(1e3 * size.imag, 1e3 * u.expanded_phase_rad, 0)
+        magnitude = scaled_text(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
+        turn = scaled_text(1e3 * size.imag, 1e3 * u.expanded_phase_rad, 0)
         return magnitude, turn, "linear within U" if found.linear[channel] else "not linear"
 
     def amplitudes(found: Linearity) -> str:
         low, high = float(np.min(found.amplitude)), float(np.max(found.amplitude))
-        return f"{low:.4g} to {high:.4g} {typeset(LOAD_UNITS[found.component])}"
+        return f"{number_text(low, 4)} to {number_text(high, 4)} {typeset(LOAD_UNITS[found.component])}"
 
     columns: list[TableColumn[Linearity]] = [
         page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
@@ -344,12 +354,13 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
 
     def value(found: JointUnknown) -> str:
         unit = "" if found.unit == "1" else found.unit
-        return quantity_html(found.u * found.estimate, 2.0 * found.u * found.remaining, unit)
+        return quantity_text(found.u * found.estimate, 2.0 * found.u * found.remaining, unit)
 
     columns: list[TableColumn[JointUnknown]] = [
         page_column("unknown", lambda found: found.name, "l"),
         page_column(
-            "stated u", lambda found: f"{found.u:.2g} {'' if found.unit == '1' else typeset(found.unit)}".strip()
+            "stated u",
+            lambda found: f"{number_text(found.u, 2)} {'' if found.unit == '1' else typeset(found.unit)}".strip(),
         ),
         page_column("value by the campaign", value),
         page_column("u / u stated", lambda found: f"{found.remaining:.2f}"),
@@ -371,11 +382,11 @@ def _crosstalk_table(found: CrossTalk) -> Table:
         for j in range(len(found.components)):
             size, half_axis = 100.0 * float(abs(found.value[c, j])), 100.0 * float(found.half_axis[c, j])
             if found.main[c] == j:
-                cells.append("1")
+                cells.append("100")
             elif found.holds_zero[c, j]:
-                cells.append(Markup("&lt; {}").format(f"{size + half_axis:.2g}"))
+                cells.append(Markup("&lt; {}").format(number_text(size + half_axis, 2)))
             else:
-                cells.append(scaled_html(size, half_axis, 0))
+                cells.append(scaled_text(size, half_axis, 0))
         rows.append(tuple(cells))
     caption = (
         f"Cross-talk at {found.frequency_hz:.6g} Hz in per cent of the rated output, ± half axis of its 95 % region"
@@ -425,6 +436,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "linearity": linearity_table(evaluation),
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
+        **_traceability(evaluation),
         "count": count_text(len(evaluation.recorded) + len(evaluation.failed), "recording"),
         "notes": listed[len(of_recordings) :],
         **frame,
@@ -451,7 +463,7 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
     facts.append(("Mountings", str(len({entry.mounting for entry in recorded}))))
     frequency = [drive.frequency_hz for entry in recorded for drive in entry.excited_lines]
     if frequency:
-        ends = f"{min(frequency):.6g} Hz", f"{max(frequency):.6g} Hz"
+        ends = f"{number_text(min(frequency), 6)} Hz", f"{number_text(max(frequency), 6)} Hz"
         facts.append(("Frequencies", " to ".join(dict.fromkeys(ends))))
     return facts
 

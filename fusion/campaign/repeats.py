@@ -25,6 +25,7 @@ from fusion.estimation.uncertainty import (
 from fusion.sensitivity.ratio import PriorMatrix, StatedMatrix, driven_component, prior_matrix
 from shaker.sine.phasor import real_stacked, real_stacked_diagonal
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 SAME_FREQUENCY = 1e-4
@@ -262,7 +263,7 @@ def cached_mean_ratio() -> Mean:
 def frequencies_text(frequency_hz: Sequence[float]) -> str:
     """Return the text for one frequency, or for the number and range of several."""
     if len(frequency_hz) == 1:
-        return f"{frequency_hz[0]:.6g} Hz"
+        return f"{number_text(frequency_hz[0], 6)} Hz"
     return f"{len(frequency_hz)} frequencies, {min(frequency_hz):.6g} to {max(frequency_hz):.6g} Hz"
 
 

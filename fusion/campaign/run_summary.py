@@ -7,15 +7,16 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, count_text, round_to_uncertainty
+from fusion.base import count_text
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, command_json
 from fusion.report.h5 import open_results, read_notices
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.recording_report import ACCELERATION_FILE, REPORT_FILE, row_element
-from fusion.report.table import factor_text, has_phase, magnitude_phase_text, read_rows
+from fusion.report.table import WEAK, factor_text, half_axes, has_phase, magnitude_phase_text, read_rows
 from fusion.report.tables import result_name
 from fusion.report.terminal import log_notices, print_text, stdout_console
+from shakercal._common.digits import DASH, quantity_text, typeset
 from shakercal._common.notices import GatheredNotice, Notice, gather
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def _cells_of(row: Row) -> dict[str, str]:
         "f / Hz": f"{float(row['frequency_hz']):.4f}",
         "quantity": result_name(row["kind"], row["channel"], row["component"], main=True),
         "magnitude ± U": magnitude,
-        "unit": row["unit"],
+        "unit": typeset(row["unit"]),
         "phase ± U / rad": phase,
         "k": k_factor,
         "kind": row["kind"],
@@ -146,21 +147,12 @@ def _values(element: Polar) -> tuple[str, str, str]:
     Value and U have the same power of ten.
     """
 
-    def with_u(value: float, expanded: float) -> str:
-        text = round_to_uncertainty(value, expanded)
-        pair = f"{text.value} ± {text.expanded}"
-        return f"({pair})e{text.exponent:d}" if text.exponent else pair
-
     if not element.region.holds_zero:
-        magnitude = with_u(element.magnitude, element.expanded_magnitude)
+        magnitude = quantity_text(element.magnitude, element.expanded_magnitude)
         k_factors = magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
-        phase = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        phase = quantity_text(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
         return magnitude, phase, k_factors
-    large, small = element.region.half_axes
-    first = round_to_uncertainty(large, large)
-    second = round_to_uncertainty(small, large, first.exponent)
-    pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
-    return pair, "not distinguishable from 0", f"{element.region_factor:.2f}"
+    return half_axes(element.region), WEAK, factor_text(element.region_factor)
 
 
 def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.consistent_solution import (
     INCONSISTENCY,
     ConsistentSolution,
@@ -67,6 +66,7 @@ from fusion.estimation.variance_components import EstimatedNoise, Scatter
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
+from shakercal._common.digits import number_text, round_to_uncertainty, signed_text
 from shakercal._common.notices import Notice, Value
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
@@ -460,7 +460,7 @@ def _describe_shifts(found: Sequence[Unnoticed]) -> str:
     for component in dict.fromkeys(one.component for one in sorted(found, key=lambda one: -one.shift)):
         rows = [one for one in found if one.component == component]
         largest = max(one.shift for one in rows)
-        listed.append(f"{component} by up to {largest:.2g} U ({', '.join(one.channel for one in rows)})")
+        listed.append(f"{component} by up to {number_text(largest, 2)} U ({', '.join(one.channel for one in rows)})")
     return ", ".join(listed)
 
 
@@ -470,7 +470,8 @@ def _ratio_text(test: Consistency) -> str:
         return ""
     mistake = likely_mistake(test.ratio)
     cause = f", as if {mistake}" if mistake else ""
-    return f" (reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad{cause})"
+    angle = signed_text(float(np.angle(test.ratio)), ".5f")
+    return f" (reading/prediction {number_text(abs(test.ratio), 5)} at {angle} rad{cause})"
 
 
 def _disagreement(
@@ -480,7 +481,7 @@ def _disagreement(
     used = [test for test in result.consistency if test.used and np.isfinite(test.normalised_deviation)]
     used = sorted(used, key=lambda test: -test.normalised_deviation)
     suspects = [test for test in used if test.suspect] or used[:1]
-    listed = [f"{one.instrument} by {one.normalised_deviation:.3g} u{_ratio_text(one)}" for one in suspects]
+    listed = [f"{one.instrument} by {number_text(one.normalised_deviation)} u{_ratio_text(one)}" for one in suspects]
     exchanges = [f"whether {a} and {b} are exchanged" for a, b in swapped]
     values: dict[str, Value] = {
         "chi2": result.chi2,
@@ -502,7 +503,9 @@ def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> s
     def describe(unknown: CommonEstimate) -> str:
         unit = "" if unknown.unit == "1" else f" {unknown.unit}"
         factor = abs(unknown.unconstrained_value) / unknown.u
-        return f"{unknown.name} of {unknown.unconstrained_value:.2g}{unit} ({factor:.3g} times its u)"
+        return (
+            f"{unknown.name} of {number_text(unknown.unconstrained_value, 2)}{unit} ({number_text(factor)} times its u)"
+        )
 
     # Those that deviate most, including those that the readings cannot distinguish.
     ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
@@ -534,5 +537,5 @@ def _values(result: Acceleration) -> str:
             number = round_to_uncertainty(found.magnitude, found.expanded_magnitude, 0)
             text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
         listed.append(f"{text} without {one.suspect}")
-    at = f"{MOTION_COMPONENTS[c]} at {result.phasors.frequency_hz[line]:.6g} Hz"
+    at = f"{MOTION_COMPONENTS[c]} at {number_text(result.phasors.frequency_hz[line], 6)} Hz"
     return f"{at} is {', '.join(listed)} (U, k = 2)"

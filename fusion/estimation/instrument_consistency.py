@@ -17,6 +17,7 @@ from fusion.estimation.uncertainty import as_complex, real_stack
 from fusion.estimation.variance_components import TEST_CONFIDENCE, EstimatedNoise, fails
 from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.digits import number_text
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation
@@ -540,7 +541,8 @@ def likely_mistake(
 def describe_deviation(name: str, ratio: complex, mistake: str) -> str:
     """Describe how an output deviates from its prediction, with the mistake that would cause it."""
     cause = f", as if {mistake}" if mistake else ""
-    return f"{name} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad{cause}"
+    size, angle = number_text(abs(ratio)), number_text(float(np.angle(ratio)))
+    return f"{name} is {size} times as large, turned by {angle} rad{cause}"
 
 
 def exchanged_channels(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.digits import quantity_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure
@@ -27,7 +27,7 @@ class TabularResult(ABC):
     >>> import shakercal
     >>> sensitivity = shakercal.evaluate("sample_images/demo/Fz-0080").element  # doctest: +SKIP
     >>> sensitivity  # doctest: +SKIP
-    element: Fz/Fz = (7.0032 ± 0.0051)e-7 (V/V)/N at 80.0002 Hz (k = 1.97); 6 elements at 1 line
+    element: Fz/Fz = (7.0032 ± 0.0051) × 10⁻⁷ (V/V)/N at 80.0002 Hz (k = 1.97); 6 elements at 1 line
     >>> sensitivity.plot().savefig("element.png")  # doctest: +SKIP
     """
 
@@ -87,8 +87,8 @@ class TabularResult(ABC):
         if not found:
             return f"{shown.name}: no result; {size}"
         k, e, polar = max(found, key=lambda one: (-one[0], one[2].magnitude / max(one[2].expanded_magnitude, 1e-300)))
-        text = round_to_uncertainty(polar.magnitude, polar.expanded_magnitude).text
-        headline = f"{shown.elements[e]} = {text} {shown.unit[e]} at {shown.frequency_hz[k]:.6g} Hz"
+        text = quantity_text(polar.magnitude, polar.expanded_magnitude, shown.unit[e])
+        headline = f"{shown.elements[e]} = {text} at {shown.frequency_hz[k]:.6g} Hz"
         return f"{shown.name}: {headline} (k = {polar.k:.3g}); {size}"
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import (
@@ -34,6 +33,7 @@ from fusion.phasors.timing import ClockResult
 from fusion.recording.transducer import TRANSDUCERS
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.sine_fit import Stationarity
+from shakercal._common.digits import number_text, round_to_uncertainty
 from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
@@ -153,11 +153,11 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
         for quantity, changed in (
             ("amplitude", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
             ("phase", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in drifting]),
-            ("phasor", [f"{100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
+            ("phasor", [f"{number_text(100.0 * d.wander, 2)} % in {d.name}" for d in bent]),
         ):
             if changed:
                 declared, listed = OUTPUT_UNSTEADY if doubts else LINE_UNSTEADY, ", ".join(changed)
-                where = f"{frequency:.6g} Hz"
+                where = f"{number_text(frequency, 6)} Hz"
                 notices.append(Notice(declared, where, quantity=quantity, frequency_hz=frequency, changes=listed))
     return tuple(notices)
 

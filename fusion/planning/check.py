@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import errors_are_stated, scale_is_stated
 from fusion.instruments.vibrometer import beam_notices
@@ -41,6 +40,7 @@ from fusion.recording.values import PULSE
 from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.signal_notices import PERIODIC_ESTIMATE, REST_ESTIMATE
+from shakercal._common.digits import number_text, round_to_uncertainty
 from shakercal._common.notices import Notice
 
 RIG, NO_REFERENCE = "rig.toml", "no channel"
@@ -267,7 +267,7 @@ def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:
     excitation = manifest.excitation
     contents = [f"excitation: {excitation.kind} {'with' if excitation.with_load else 'without'} load", text]
     if manifest.rig.load is not None:
-        contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg")
+        contents.append(f"load mass: {number_text(manifest.rig.load.true_mass, 6)} kg")
     return contents, problems
 
 
@@ -282,7 +282,7 @@ def _takes(block: Manifest) -> list[Manifest]:
 def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache) -> tuple[list[str], list[str]]:
     """Return one line for each group of files, and their problems."""
     excitation = manifest.excitation
-    lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
+    lines = ", ".join(f"{number_text(line, 6)} Hz" for line in excitation.frequencies or ())
     contents, problems = [f"excitation: {excitation.kind}" + (f" at {lines}" if lines else "")], []
     marked = [{entry.name for daq in take.daq for entry in daq.channel if entry.reference} for take in takes]
     reference = ", ".join(sorted(set.intersection(*marked))) or NO_REFERENCE
@@ -308,9 +308,11 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache)
         problems += [prefix + problem for _, wrong in texts for problem in wrong]
     if len(takes) > 1 and reference == NO_REFERENCE:
         problems.append("takes: no common channel with reference = true in every take")
-    mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
+    mounted = [f"{part.name} {number_text(part.true_mass, 6)} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
-        contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
+        contents.append(
+            f"load mass: {number_text(manifest.rig.load.true_mass, 6)} kg" + "".join(f", {part}" for part in mounted)
+        )
     measured, wrong = _measured_modes(manifest, takes)
     return [*contents, *measured], [*problems, *wrong]
 
@@ -358,9 +360,9 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
         count = sum(entry.head is not None and entry.head.name == name for entry in entries)
         mirror = "beams or axes as stated"
         if stated.mirror is not None:
-            mirror = f"mirror at ({', '.join(f'{x:g}' for x in stated.mirror)}) m"
+            mirror = f"mirror at ({', '.join(f'{number_text(x, 6)}' for x in stated.mirror)}) m"
         elif stated.standoff is not None:
-            mirror = f"mirror {stated.standoff:g} m away"
+            mirror = f"mirror {number_text(stated.standoff, 6)} m away"
         texts.append(f"head {name}: {mirror}, {count} channels or points")
     return texts
 
@@ -382,7 +384,7 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tupl
     first = next(iter(channels.values()))
     periodic = block.excitation.slowest_hz is not None  # a periodic signal may have missing samples
     holes = [name for name, one in channels.items() if not periodic and not np.isfinite(one.samples).all()]
-    text += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
+    text += f"; {first.samples.size} samples at {number_text(first.sample_rate_hz, 6)} Hz"
     text += "" if first.gap is None else f", not uniform: {first.gap}"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
     text += f" ({describe_folds(folds)} unless an anti-aliasing filter removes it)" if folds else ""
@@ -407,12 +409,14 @@ def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: f
     sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
     left = sequences[0]
     sizes = dict.fromkeys(f"{width} x {height}" for width, height in (images.size_px for images in sequences))
-    text += f", {len(left)} frames of {' and '.join(sizes)} px, grey values up to {left.full_scale:g}"
-    text += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
+    text += f", {len(left)} frames of {' and '.join(sizes)} px, grey values up to {number_text(left.full_scale, 6)}"
+    text += f", exposure {number_text(1e6 * left.exposure_s, 4)} µs by the file" if left.exposure_s is not None else ""
     if any(pair.row_time):
         read_s = pair.readout_s(left.size_px[1])
-        text += f", rows exposed successively over {1e3 * read_s:.4g} ms"
-        text += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
+        text += f", rows exposed successively over {number_text(1e3 * read_s, 4)} ms"
+        text += (
+            f" ({number_text(360.0 * highest_hz * read_s)}° at {number_text(highest_hz, 6)} Hz)" if highest_hz else ""
+        )
     wrong = calibration_problems(pair, sequences)
     if len(left) != len(sequences[-1]) and not isinstance(images.first_edge, dict):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
@@ -456,9 +460,9 @@ def _size(paths: Sequence[Path]) -> str:
     size = float(sum(path.stat().st_size for path in paths))
     for unit in ("B", "kB", "MB"):
         if size < 1000:
-            return f"{size:.3g} {unit}"
+            return f"{number_text(size)} {unit}"
         size /= 1000
-    return f"{size:.3g} GB"
+    return f"{number_text(size)} GB"
 
 
 def _motion_remarks(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import K2, round_to_uncertainty
+from fusion.base import K2
 from fusion.errors import InputError, as_input_error
 from fusion.phasors.channel_phasors import MOST_BINS, fill_gaps, line_record, lines_of_record
 from fusion.phasors.timing import tie_daqs
@@ -26,6 +26,7 @@ from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.sine_fit import fit_sines
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, quantity_text, scaled_text
 from shakercal._common.notices import Notice
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
@@ -193,13 +194,13 @@ def _fitted(time_s: FloatArray, values: Stacked, lines: LineFrequencies, rate_hz
     for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
         height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
         nominal_hz, multiple = lines.nominal_hz[k], lines.multiple[k]
-        what = f"fundamental, nominally {nominal_hz:.6g} Hz"
+        what = f"fundamental, nominally {number_text(nominal_hz, 6)} Hz"
         if multiple != 1:
             (first, *_) = np.flatnonzero((lines.multiple == 1) & (lines.nominal_hz == nominal_hz))
             share = float(np.max(amplitude[k] / amplitude[first]))
-            what = f"harmonic {multiple} of {nominal_hz:.6g} Hz, {share:.2g} of it"
+            what = f"harmonic {multiple} of {number_text(nominal_hz, 6)} Hz, {number_text(share, 2)} of it"
         if frequency > rate_hz / 2.0:
-            what += f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz"
+            what += f", read at {number_text(float(alias_frequency(frequency, rate_hz)), 6)} Hz"
         entries.append(LineEntry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
     return entries
 
@@ -222,8 +223,8 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
     """Print the lines to stdout, a table for each group of channels."""
     for item in lists:
         names, duration = ", ".join(item.channels), item.samples / item.rate_hz
-        seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
-        size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
+        seen = "".join(f"; {pairs}: lines as seen at {number_text(rate, 6)} Hz" for pairs, rate in item.cameras)
+        size = f"{item.samples} samples at {number_text(item.rate_hz, 9)} Hz, {number_text(duration, 4)} s"
         print_text(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
             print_text("  no line above the noise")
@@ -242,20 +243,15 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
 def _cells(item: ChannelLines, entry: LineEntry) -> dict[str, str]:
     """Return the cells of a line by the heads of their columns."""
     best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
-    size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-    aliases = {f"{name} / Hz": f"{alias:.4f}" for (name, _), alias in zip(item.cameras, entry.alias_hz, strict=True)}
+    size = quantity_text(float(entry.amplitude[best]), K2 * float(entry.u_amplitude[best]), item.units[best])
+    aliases = {
+        f"seen by {name} at / Hz": f"{alias:.4f}" for (name, _), alias in zip(item.cameras, entry.alias_hz, strict=True)
+    }
     return {
-        "frequency / Hz": _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
+        "frequency / Hz": scaled_text(entry.frequency_hz, K2 * entry.u_frequency_hz),
         **aliases,
-        "amplitude": f"{size} {item.units[best]}".strip(),
+        "amplitude": size,
         **({"in channel": item.channels[best]} if len(item.channels) > 1 else {}),
         "dB": f"{entry.floor_db:.0f}",
         WHY: f"{entry.use}: {entry.what}" if entry.use else entry.what,
     }
-
-
-def _with_u(value: float, u: float, exponent: int | None = None) -> str:
-    """Return a number with its expanded uncertainty."""
-    text, uncertainty, power = round_to_uncertainty(value, K2 * u, exponent)
-    both = f"{text} ± {uncertainty}"
-    return f"({both})e{power}" if power else both

@@ -17,6 +17,7 @@ from fusion.recording.transducer import STATIONARY, TRANSDUCERS
 from photogram.images.sequence import ImageSequence
 from shaker.labels import MOTION_COMPONENTS
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text
 
 BODIES, TOGETHER = ("load", "base"), "all together"
 EXACT, FEWEST_SUBSETS = 1e-4, 6  # u relative to that before that counts as exact; least number of subsets
@@ -106,7 +107,7 @@ def describe_single_cameras(
         texts.append(
             f"stereo {name} is a single camera: u of one frame by image noise (camera axes, centre of the face) is "
             f"{u[:2].max():.2g} µm across its axis, {u[2]:.2g} µm along it, {u[5]:.2g} µrad about it and "
-            f"{u[3:5].max():.2g} µrad in tilts"
+            f"{number_text(u[3:5].max(), 2)} µrad in tilts"
         )
         text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} only"
         instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
@@ -157,7 +158,7 @@ def _sizes(covariance: FloatArray, before: FloatArray) -> str:
     u = 1e6 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     undetermined = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
     units = ("µm",) * 3 + ("µrad",) * 3
-    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(undetermined)]
+    sizes = [f"{MOTION_COMPONENTS[i]} {number_text(u[i], 2)} {units[i]}" for i in np.flatnonzero(undetermined)]
     return ", ".join(sizes) or "all determined"
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import DASH, prefix
+from fusion.base import prefix
 from fusion.errors import InputError
 from fusion.planning.planning_notices import (
     NOISE_UNSTATED,
@@ -33,6 +33,7 @@ from shaker.lines.rate_planner import (
 )
 from shaker.sine.aliasing import CLEAR_BINS
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import DASH, number_text
 
 PER_NOISE = "noise per frame"
 MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # lines fitted at one point, and at all points: a plan takes some seconds
@@ -231,7 +232,7 @@ def _check(request: Request, points: Sequence[PlannedLines]) -> None:
         raise InputError(TOO_FEW_FRAMES, "--frames", found=frames, expected=expected)
     exposure = request.sampling.exposure_s
     if exposure * highest > 1.0:
-        expected = f"no more than the time between frames ({1.0 / highest:.3g} s)"
+        expected = f"no more than the time between frames ({number_text(1.0 / highest)} s)"
         raise InputError(RATE_LIMITS, "--exposure", found=f"{exposure:g} s", expected=expected)
     sized = request.size.amplitude_m is not None or request.size.acceleration_mps2 is not None
     if sized and request.size.noise_m is None:
@@ -305,7 +306,7 @@ def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
     def nearest(line: _Line) -> str:
         if line.neighbour_hz == 0.0:
             return "zero"
-        return f"{line.neighbour_hz:.9g} Hz" if np.isfinite(line.neighbour_hz) else "Nyquist"
+        return f"{number_text(line.neighbour_hz, 9)} Hz" if np.isfinite(line.neighbour_hz) else "Nyquist"
 
     return [
         TableColumn("point", lambda line: line.point),
@@ -406,16 +407,20 @@ def _shown_noise(size: MotionSize) -> tuple[float, str]:
 def print_plan(plan: Plan) -> None:
     """Print the plan to stdout."""
     request, sampling = plan.request, plan.request.sampling
-    frequencies = ", ".join(f"{f:.9g}" for f in request.frequency_hz)
+    frequencies = ", ".join(number_text(f, 9) for f in request.frequency_hz)
     if len(request.frequency_hz) > SHOWN:
-        ends = f"{min(request.frequency_hz):.9g} to {max(request.frequency_hz):.9g}"
+        ends = f"{number_text(min(request.frequency_hz), 9)} to {number_text(max(request.frequency_hz), 9)}"
         frequencies = f"{len(request.frequency_hz)} frequencies, {ends}"
     together = " at the same time" if request.together else ""
     fitted = "fundamentals alone" if sampling.harmonics == 1 else f"harmonics 1 to {sampling.harmonics}"
-    rates = "" if request.rate_hz else f", camera rate {request.limits_hz[0]:g} to {request.limits_hz[1]:g} Hz"
+    rates = (
+        ""
+        if request.rate_hz
+        else f", camera rate {number_text(request.limits_hz[0], 6)} to {number_text(request.limits_hz[1], 6)} Hz"
+    )
     print_text(
         f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
-        f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz",
+        f"{sampling.exposure_s * 1e6:.6g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:.6g} Hz",
     )
     if request.rate_hz is None:
         _print_choices(plan)
@@ -433,7 +438,9 @@ def print_plan(plan: Plan) -> None:
     print_text(f"{distance_text} ({CLEAR_BINS:g} required); loss: of amplitude, by exposure (a run corrects it)")
     smallest = request.size.displacement_m(max(request.frequency_hz))
     if smallest is not None:
-        moved = f"The displacement at {max(request.frequency_hz):.9g} Hz is {1e6 * smallest:.3g} µm."
+        moved = (
+            f"The displacement at {number_text(max(request.frequency_hz), 9)} Hz is {number_text(1e6 * smallest)} µm."
+        )
         shown = "show how large the fixed pattern of the sensors is (docs/tracking.md)."
         print_text(
             f"{moved} Below 0.1 px in the images, add 5 to 10 images of the body displaced by 1 to 5 px: they {shown}"
@@ -459,7 +466,7 @@ def _print_choices(plan: Plan) -> None:
 
     def time_of(plans: Sequence[RatePlan]) -> str:
         total_s = sum(at_rate.duration_s + settle_s for at_rate in plans)
-        return f"{total_s:.1f} s" + (f", {settle_s:g} s before each included" if settle_s else "")
+        return f"{total_s:.1f} s" + (f", {number_text(settle_s, 6)} s before each included" if settle_s else "")
 
     def served(plans: Sequence[RatePlan], how: str) -> str:
         number = f"All {len(plans)}" if len(plans) == len(points) else f"{len(plans)} of {len(points)}"
@@ -493,7 +500,7 @@ def _print_choices(plan: Plan) -> None:
 
 def _print_lines(size: MotionSize, plan: RatePlan) -> None:
     """Print all lines of a point at one rate."""
-    _print_sections(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)])
+    _print_sections(f"Lines at {number_text(plan.rate_hz, 9)} Hz", _line_columns(size), [_lines_at(size, plan)])
 
 
 def _print_explained(size: MotionSize, point: PlanPoint) -> None:
@@ -524,10 +531,10 @@ def _print_explained(size: MotionSize, point: PlanPoint) -> None:
     if plan.distance_bins < CLEAR_BINS:
         print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are required to separate them")
     for other in plan.aliased_harmonics:
-        name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
+        name = f"harmonic {other.multiple} of {number_text(other.fundamental_hz, 9)} Hz, not fitted"
         print_text(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if point.nearby is not None:
         rate = point.nearby.rate_hz
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
-        gain = f", worst u {share:.2g} times the given rate's" if share > 0.0 else ""
+        gain = f", worst u {number_text(share, 2)} times the given rate's" if share > 0.0 else ""
         print_text(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

@@ -15,6 +15,7 @@ from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
 from shaker.sine.aliasing import MAX_CONDITION
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text
 
 COLUMNS = 420  # columns of a panel; each shows the largest condition of its rates
 RATES_PER_COLUMN = 6  # resolution within a column
@@ -68,7 +69,9 @@ def _draw_point(panel: Panel, plan: Plan, index: int, rates: FloatArray) -> None
         if index in shared.points:
             panel.rule(shared.rate_hz, "as few as possible", along="x", colour=RED, width=0.9)
     low, high = float(point.lines.fundamentals_hz.min()), float(point.lines.fundamentals_hz.max())
-    panel.title = f"{low:.7g} Hz" if low == high else f"{low:.7g} to {high:.7g} Hz together"
+    panel.title = (
+        f"{number_text(low, 7)} Hz" if low == high else f"{number_text(low, 7)} to {number_text(high, 7)} Hz together"
+    )
     panel.y.log, panel.y.limits, panel.x.limits = True, (1.0, TOP), (float(rates[0]), float(rates[-1]))
 
 
@@ -107,7 +110,7 @@ def _draw_channel(panel: Panel, item: ChannelLines, c: int) -> None:
         height = float(entry.amplitude[c])
         panel.points(frequency_hz, height, label, marker="inverted_triangle", colour=colour, size=4.0)
         if rank < LABELLED:
-            text = f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"
+            text = f"{number_text(entry.frequency_hz, 5)} {DETAILS.split(entry.what)[0].strip()}"
             panel.text(frequency_hz, height, text, colour=colour, offset_px=(0.0, 5.0), upright=True)
     lowest = floor[:, c] if len(floor_hz) else amplitude[amplitude > 0.0]
     panel.x.log = panel.y.log = True

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.coverage import Polar
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import exponent_of, power_text
 
 BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
 """On dark pages their opposites."""
@@ -28,7 +29,6 @@ PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
 """Colours of -180, -90, 0, 90 and 180 degrees."""
 FEW, STRETCHES = 200, 1500
 """Largest number of values with ten digits; number of stretches of a long line whose extremes are drawn."""
-SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 Along = Literal["x", "y"]
 
 
@@ -412,19 +412,10 @@ def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, 
     return low - margin, high + margin
 
 
-def power_text(exponent: int) -> str:
-    """Return a power of ten in plain characters."""
-    return "10" + str(exponent).translate(SUPERSCRIPT)
-
-
 def power_of_ten(values: FloatArray) -> tuple[float, str]:
-    """Return a common power of ten of values, and its text before the unit.
-
-    Values between 0.01 and 10 000 need none: the factor is 1.
-    """
-    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
-    power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
-    return (1.0, "") if -2 <= power < 4 else (10.0**power, f"{power_text(power)} ")
+    """Return a common power of ten of values, and its text before the unit."""
+    exponent = exponent_of(float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0)))
+    return (10.0**exponent, f"{power_text(exponent)} ") if exponent else (1.0, "")
 
 
 def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

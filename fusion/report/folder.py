@@ -39,8 +39,9 @@ from fusion.report.report_notices import (
     UNREADABLE_INPUT,
 )
 from fusion.report.static_figure import static_svg
-from fusion.report.table import Headline, Table, code_html, csv_rows, notice_frame, plain_text
+from fusion.report.table import Headline, Table, code_html, csv_rows, notice_frame
 from fusion.report.terminal import AS_JSON, log_notices, print_text, show_activity
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice, warnings_first
 
 if TYPE_CHECKING:
@@ -336,6 +337,7 @@ def _environment() -> Environment:
         "sections": sections,
         "static_svg": static_svg,
         "code_html": code_html,
+        "number": number_text,
     }
     environment.globals |= {
         "figures_library": bokeh_library,
@@ -473,7 +475,7 @@ class CommandReport(Generic[E]):
             self.name,
             name=evaluation.name,
             headlines=[
-                {"label": one.label, "value": plain_text(one.value), "remark": plain_text(one.remark)}
+                {"label": one.label, "value": Markup(one.value).striptags(), "remark": Markup(one.remark).striptags()}
                 for one in self.headlines(evaluation)
             ],
             tables={name: rows for name, rows in tables.items() if len(rows) <= MOST_ROWS},

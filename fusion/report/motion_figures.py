@@ -32,6 +32,7 @@ from photogram.measure.epipolar import COVERAGE, EpipolarCheck
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import alias_frequency
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.digits import number_text
 
 # Figure of one stereo pair: how its body bends at a line, out of its plane and in it.
 
@@ -209,8 +210,8 @@ def draw_motion(stereo: StereoResult) -> Figure:
     curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
     drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
-        pose = stereo.motion_from_mean.pose[:, component]
-        factor, letter = prefix(pose)
+        poses = stereo.motion_from_mean.pose
+        pose, (factor, letter) = poses[:, component], prefix(poses[:, :3] if component < 3 else poses[:, 3:])
         left.line(fine, curve[:, component] / factor, **FITTED)
         left.points(stereo.time_s, pose / factor, **MEASURED)
         left.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
@@ -359,7 +360,7 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
     if deviation > 0.0:
         density = np.exp(-0.5 * (level / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
         panel.line(100.0 * density * (edges[1] - edges[0]), level, colour=BLACK, width=0.9)
-    panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{deviation:.2g}'):g}", align="right")
+    panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{number_text(deviation, 2)}'):g}", align="right")
 
 
 def shown_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -490,7 +491,7 @@ class TrackedSurface:
         if sizes is None:
             return ""
         factor, letter = prefix(max(sizes))
-        size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
+        size, noise = (f"{number_text(value / factor)} {letter}m" for value in sizes)
         end = (
             f"of which noise {noise}" if self.deflection(line) is not None else f"not above noise ({noise}), not drawn"
         )

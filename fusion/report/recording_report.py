@@ -49,9 +49,10 @@ from fusion.report.result_figures import (
     sensitivity_figures,
     trigger_figures,
 )
-from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, quantity_html, text_column
+from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, text_column
+from fusion.report.traceability import trace_inputs, traceability
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
-from fusion.sensitivity.input_evidence import find_evidence
+from fusion.sensitivity.input_evidence import InputEvidence, find_evidence
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
@@ -59,6 +60,7 @@ from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
 from shaker.labels import AXES, sensitivity_unit
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text, quantity_text
 
 # Its tables as CSV files, and how a campaign joins those of several.
 
@@ -229,10 +231,30 @@ def render_report(evaluation: Evaluation) -> str:
         "supports": tables.supports_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
         "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
+        **_traceability(evaluation),
         **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
     return render_page("report.html", context)
+
+
+def _evidence(evaluation: Evaluation) -> tuple[InputEvidence, ...]:
+    """Return the sources of the inputs of all results."""
+    parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
+    influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
+    return find_evidence(evaluation.manifest, influences, evaluation.input_hashes)
+
+
+def _traceability(evaluation: Evaluation) -> dict[str, Any]:
+    """Return inputs of the main result, and the recalibration that pays most."""
+    main = tables.main_result(evaluation)
+    if main is None:
+        return {"traceability": None}
+    found, index = main
+    labelled = found.labelled()
+    uncertainty = labelled.uncertainty.at([index])
+    inputs = trace_inputs(labelled.value[:, [index]], uncertainty, _evidence(evaluation))
+    return traceability(inputs, labelled.elements[index])
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -243,22 +265,22 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         serial = f", serial number {rig.sensor.serial}" if rig.sensor.serial else ""
         facts.append(("Sensor", f"{rig.sensor.name}{serial}"))
     if rig.load is not None:
-        stated = quantity_html(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
+        stated = quantity_text(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg")
         facts.append(("Load mass", f"{stated}, k = 2"))
-    nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
-    direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
+    nominal = ", ".join(f"{number_text(frequency, 6)} Hz" for frequency in excitation.frequencies or ())
+    direction = ", ".join(number_text(element, 6) for element in excitation.direction or ())
     excitation_texts = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
     facts.append(("Excitation", ", ".join(filter(None, excitation_texts))))
     manifest, around = evaluation.manifest, rig.surroundings
     parts = moving_parts(rig, manifest.part)
     if parts:
         mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
-        moved = quantity_html(mass, 2.0 * float(u), "kg").striptags()
+        moved = quantity_text(mass, 2.0 * float(u), "kg")
         facts.append(("Moving mass", f"{moved}, k = 2, including the moving parts of the sensor"))
     if around.temperature is not None:
-        facts.append(("Temperature of the air", f"{around.temperature:g} °C"))
+        facts.append(("Temperature of the air", f"{number_text(around.temperature, 6)} °C"))
     if around.sensor_temperature is not None:
-        felt = quantity_html(around.sensor_temperature, 2.0 * around.sensor_temperature_uncertainty, "°C").striptags()
+        felt = quantity_text(around.sensor_temperature, 2.0 * around.sensor_temperature_uncertainty, "°C")
         facts.append(("Sensor temperature", f"{felt}, k = 2" if around.sensor_temperature_uncertainty else felt))
     day = (("Date", manifest.date), ("Operator", manifest.operator), ("Procedure", manifest.procedure))
     return [*facts, *((name, str(value)) for name, value in day if value is not None)]
@@ -333,10 +355,7 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["mounting"] = manifest.mounting
         if manifest.date is not None:
             file.attrs["date"] = manifest.date.isoformat()
-        parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
-        influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
-        evidence = find_evidence(manifest, influences, evaluation.input_hashes)
-        if evidence:
+        if evidence := _evidence(evaluation):
             write_value(file, EVIDENCE, evidence)
         driven = file.create_group("excitation")
         for name in ("kind", "direction", "frequencies"):

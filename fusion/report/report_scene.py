@@ -29,7 +29,6 @@ from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.motion_figures import tracked_surface
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views
-from fusion.report.table import quantity_html
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera
@@ -37,6 +36,7 @@ from photogram.geometry import RigidTransform, displacement_jacobian
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import number_text, quantity_text, signed_text
 
 KINDS = {
     "load": ("load", ORANGE),
@@ -260,19 +260,19 @@ def _base_parts(manifest: Manifest) -> list[MovingPart]:
 def _solid(part: MovingPart, body: str) -> SceneShape:
     """Return a part as a solid of its mass and inertia, or as a point."""
     points, faces, strokes, shape_text = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
-    text = f"{part.mass_kg:.5g} kg, centre of mass {position_text(part.centre_of_mass_m)}, {shape_text}"
+    text = f"{number_text(part.mass_kg, 5)} kg, centre of mass {position_text(part.centre_of_mass_m)}, {shape_text}"
     made = SceneShape(body, part.name, text, points, faces, strokes, body=body, closed=True, fill=0.5)
     return made if faces else replace(made, dots="one", closed=False)
 
 
 def position_text(point_m: FloatArray) -> str:
     """Return a position in the sensor frame as text."""
-    return "(" + ", ".join(f"{1e3 * x + 0.0:.1f}" for x in point_m) + ") mm"
+    return "(" + ", ".join(signed_text(1e3 * x, ".1f") for x in point_m) + ") mm"
 
 
 def along(direction: FloatArray) -> str:
     """Return a direction as text."""
-    return "(" + ", ".join(f"{x + 0.0:.3f}" for x in direction) + ")"
+    return "(" + ", ".join(signed_text(x, ".3f") for x in direction) + ")"
 
 
 def _arrow(kind: str, name: str, description: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
@@ -536,9 +536,9 @@ def _amplitude_text(body: str, elements: Sequence[Polar | None], frequency_hz: f
         return f"{body}: no translation is observed"
     axis, value = max(found, key=lambda pair: pair[1].magnitude)
     factor, letter = prefix(value.magnitude / square)
-    size = quantity_html(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
+    size = quantity_text(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    text = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
+    text = f"{body} {axis}: {size} at {signed_text(phase, '.1f')}° (k = {value.k_magnitude:.2f})"
     return text.replace("-", "\N{MINUS SIGN}")
 
 

@@ -31,7 +31,6 @@ from fusion.report.figure import (
     padded_limits,
     polar_bars,
     power_of_ten,
-    power_text,
 )
 from fusion.report.tables import (
     PREFIXED,
@@ -49,8 +48,9 @@ from fusion.report.tables import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text, typeset
 
 BUDGET_ENTRIES = 14
 """Largest number of bars in the figure of the budget (chosen)."""
@@ -91,10 +91,13 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
     line, results = main_line(evaluation), by_source(evaluation, body)
     found = {result.source: result.polar[line] for result in results}
     drawn = empty_figure(f"components-{body}", 5.9, 2, 3, shared_x=False)
+    # One unit for all translations, and one for all rotations.
+    sizes = np.abs([result.phasors.value[line] for result in results])
+    scales = prefix(sizes[:, :3]), prefix(sizes[:, 3:])
     for component, panel in enumerate(drawn.panels):
         panel.title = MOTION_COMPONENTS[component]
         available = {source: element for source, row in found.items() if (element := row[component]) is not None}
-        _draw_plane(panel, available, typeset(results[0].phasors.unit[component]))
+        _draw_plane(panel, available, typeset(results[0].phasors.unit[component]), scales[component // 3])
     frequency = float(results[0].phasors.frequency_hz[line])
     caption = (
         f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
@@ -136,14 +139,14 @@ def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], lin
         panel.y.names = tuple(names) if panel is left else ("",) * len(names)
 
 
-def _draw_plane(panel: Panel, elements: Mapping[Source, Polar], unit: str) -> None:
+def _draw_plane(panel: Panel, elements: Mapping[Source, Polar], unit: str, scale: tuple[float, str]) -> None:
     """Draw one component in the complex plane from every source, with its 95 % region."""
     if not elements:
         panel.text(0.5, 0.5, "not observed", colour=GREY)
         panel.x.limits = panel.y.limits = (0.0, 1.0)
         panel.blank = True
         return
-    factor, letter = prefix([element.magnitude for element in elements.values()])
+    factor, letter = scale
     low, high = _frame(list(elements.values()), factor)
     for source, element in elements.items():
         look = {"label": source, "colour": SOURCE_COLOUR[source]}
@@ -269,7 +272,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     entries = [sensitivity.budget[entry] for entry in order]
     for kind, colour in (("A", BLUE), ("B", ORANGE)):
         rows = np.flatnonzero([entry.type == kind for entry in entries])
-        names = tuple(f"{entries[row].label}, {share[order[row]]:.2g} % of the variance" for row in rows)
+        names = tuple(f"{entries[row].label}, {number_text(share[order[row]], 2)} % of the variance" for row in rows)
         ends = (np.zeros(len(rows)), 100.0 * u_relative[order[rows]])
         panel.boxes(ends, (rows - 0.33, rows + 0.33), f"type {kind}", colour=colour, names=names)
     texts = [f"{share[entry]:.1f} %" if share[entry] >= 0.05 else "< 0.1 %" for entry in order]
@@ -342,8 +345,10 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     # Blocks have separate clocks: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for index, channel in enumerate(channels):
-        _draw_excerpt(drawn.panels[2 * index], channel, exposures)
-        _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz)
+        excerpts = [one.excerpt for one in channels if one.unit == channel.unit]
+        scale = _shown_unit(np.concatenate(excerpts), channel.unit)
+        _draw_excerpt(drawn.panels[2 * index], channel, exposures, scale)
+        _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz, scale)
         drawn.panels[2 * index].x.label, drawn.panels[2 * index + 1].x.label = "time / s", "frequency / Hz"
     marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
     more = len(evaluation.channels) - len(channels)
@@ -373,15 +378,15 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
     return drawn.with_title("Trigger", caption)
 
 
-def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -> None:
+def _shown_unit(values: FloatArray, unit: str) -> tuple[float, str]:
+    """Return factor and text before the unit: a prefix or a power of ten."""
+    return prefix(values) if unit in PREFIXED else power_of_ten(values)
+
+
+def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray, scale: tuple[float, str]) -> None:
     """Draw samples and fit over a short time."""
     time, chosen = channel.excerpt_s, slice(0, EXCERPT_POINTS)
-    if channel.unit in PREFIXED:
-        factor, letter = prefix(channel.excerpt)
-    else:  # a power of a thousand for units that take no prefix
-        largest = float(np.nanmax(np.abs(channel.excerpt))) if channel.excerpt.size else 1.0
-        power = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
-        factor, letter = (1.0, "") if power == 0 else (10.0**power, f"{power_text(power)} ")
+    factor, letter = scale
     if len(time):
         within = exposures[(exposures >= time[0]) & (exposures <= time[chosen][-1])]
         if len(within):
@@ -392,10 +397,10 @@ def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -
     panel.x.link = f"excerpt of {channel.daq}"
 
 
-def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> None:
+def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray, scale: tuple[float, str]) -> None:
     """Draw the amplitude spectrum on logarithmic axes with the lines marked."""
     keep = (channel.spectrum_hz > 0.0) & (channel.spectrum > 0.0)
-    frequency, amplitude = channel.spectrum_hz[keep], channel.spectrum[keep]
+    frequency, amplitude = channel.spectrum_hz[keep], channel.spectrum[keep] / scale[0]
     if not len(frequency):
         return
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, SPECTRUM_POINTS)
@@ -412,7 +417,8 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     panel.x.log = panel.y.log = True
     panel.x.limits = (float(frequency[0]), float(frequency[-1]))
     panel.y.limits = (0.3 * float(np.median(thin_amplitude)), 12.0 * float(amplitude.max()))
-    panel.y.label, panel.title, panel.x.link = typeset(channel.unit), f"{channel.name}: amplitude spectrum", "spectrum"
+    panel.y.label, panel.x.link = f"{scale[1]}{typeset(channel.unit)}", "spectrum"
+    panel.title = f"{channel.name}: amplitude spectrum"
 
 
 # Figure of parallel vibrometer points: positions, deviations from their mean, and the best rigid plane.

@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text
 
 ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a round body; sides that it is drawn with
 THINNEST = 0.02  # smallest thickness of a body, over its largest length
@@ -172,7 +173,7 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
     for axis, marks in enumerate(zip(panel.low_m, panel.high_m, strict=True)):
         for k in range(int(np.ceil(marks[0] / step)), int(np.floor(marks[1] / step)) + 1):
             at = (k * step - marks[0]) * panel.scale
-            text = f"{1e3 * k * step:.5g}".replace("-", "\N{MINUS SIGN}")
+            text = number_text(1e3 * k * step, 5).replace("-", "\N{MINUS SIGN}")
             if axis == 0:
                 yield Markup('<path class="grid" d="M{:.1f} {:.1f}v{:.1f}"/>').format(x + at, y, -size[1])
                 yield _text(x + at, y + 13.0, text, "middle")

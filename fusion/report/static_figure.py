@@ -25,7 +25,6 @@ from fusion.report.figure import (
     Span,
     Texts,
     padded_limits,
-    power_text,
 )
 from fusion.report.svg_marks import (
     DRAWN,
@@ -45,6 +44,7 @@ from fusion.report.svg_marks import (
     width,
 )
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import exponent_of, number_text, power_text, tick_texts
 
 WIDTH_IN, CHARACTER_IN = 8.4, 0.066
 """Width of a page's figure, and mean width of a character in its font."""
@@ -196,13 +196,14 @@ class _Ticks(NamedTuple):
     @classmethod
     def _numbers(cls, values: FloatArray, wide: float) -> _Ticks:
         """Return plain numbers if they fit and are readable, else over a power of ten."""
-        texts = number_texts(values)
+        texts = tick_texts(values.tolist())
         largest = float(np.max(np.abs(values), initial=0.0))
-        power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
-        long = wide > 0.0 and any(NUMBER_PT * width(text) > wide for text in texts)
-        if power in (-1, 0, 1) or not (long or not -5 < power < 6):
+        power = exponent_of(largest)
+        if wide > 0.0 and not power and any(NUMBER_PT * width(text) > wide for text in texts):
+            power = int(np.floor(np.log10(largest)))
+        if power in (-1, 0, 1):
             return cls(values, texts)
-        return cls(values, number_texts(values / 10.0**power), f"×{power_text(power)}")
+        return cls(values, tick_texts((values / 10.0**power).tolist()), f"×{power_text(power)}")
 
 
 def _bottom(spec: PanelAxis, rect: PanelRect, ticks: _Ticks, *, hidden: bool, upright: bool) -> Iterator[str]:
@@ -456,18 +457,8 @@ def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
     if high < 100.0 * low and high < 1e5:
         values = np.ravel(10.0 ** np.arange(first - 1.0, last + 1.0)[:, None] * [1.0, 2.0, 5.0])
         values = values[(values >= low * (1.0 - 1e-9)) & (values <= high * (1.0 + 1e-9))]
-        return values, [f"{value:g}" for value in values]
+        return values, list(map(number_text, values.tolist()))
     stride = -(-(last - first + 1) // MOST_DECADES)
     powers = range(first + (-first) % stride, last + 1, stride)
-    return 10.0 ** np.array(powers, dtype=np.float64), [power_text(power) for power in powers]
-
-
-def number_texts(values: FloatArray) -> list[str]:
-    """Return texts of ticks with as many decimals as are needed to distinguish them."""
-    spread = float(np.min(np.diff(np.sort(values)))) if len(values) > 1 else float(np.max(np.abs(values), initial=1.0))
-    for decimals in range(12):
-        if np.all(np.abs(np.round(values, decimals) - values) <= 1e-3 * spread):
-            break
-    return [
-        f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for value in (np.round(values, decimals) + 0.0).tolist()
-    ]
+    values = 10.0 ** np.array(powers, dtype=np.float64)
+    return values, list(map(power_text, powers) if any(map(exponent_of, values)) else map(number_text, values.tolist()))

@@ -20,12 +20,11 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from markupsafe import Markup, escape
 
-from fusion.base import DASH, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
 from fusion.report.report_notices import UNREADABLE_TABLE
-from shaker.labels import typeset
 from shakercal._common.arrays import ComplexArray
+from shakercal._common.digits import DASH, power_text, quantity_text, round_to_uncertainty, scaled_text
 from shakercal._common.notices import Notice, warnings_first
 
 R = TypeVar("R")
@@ -110,11 +109,6 @@ class Headline:
     remark: str
 
 
-def plain_text(marked: str) -> str:
-    """Return HTML as plain text, powers with a caret."""
-    return Markup(re.sub(r"<sup>(.*?)</sup>", r"^\1", str(marked))).striptags()
-
-
 def csv_rows(text: str) -> list[dict[str, str | float | None]]:
     """Return the rows of a CSV text as dictionaries.
 
@@ -195,7 +189,7 @@ def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
     return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 
-# Numbers as pages print them: rounded to their expanded uncertainty, with powers of ten and units, as HTML.
+# Complex values and degrees of freedom as pages print them.
 
 
 LARGEST_PHASE_U = 1.0
@@ -205,41 +199,15 @@ LARGEST_DOF = 1000
 WEAK = "not distinguishable from 0"
 
 
-def quantity_html(value: float, expanded: float, unit: str = "") -> Markup:
-    """Return value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
-    text = round_to_uncertainty(value, expanded)
-    body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
-    bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
-    minus = "\N{MINUS SIGN}" if text.exponent < 0 else ""
-    power = Markup(" × 10<sup>{}{}</sup>").format(minus, abs(text.exponent)) if text.exponent else Markup("")
-    return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
-
-
-def scaled_html(value: float, expanded: float, exponent: int) -> Markup:
-    """Return value and expanded uncertainty in units of a power of ten."""
-    text = round_to_uncertainty(value, expanded, exponent)
-    return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
-
-
-def times_ten(exponent: int, unit: str) -> Markup:
-    """Return a power of ten and a unit as HTML."""
-    minus = "\N{MINUS SIGN}" if exponent < 0 else ""
-    return (
-        Markup("10<sup>{}{}</sup> {}").format(minus, abs(exponent), typeset(unit))
-        if exponent
-        else Markup(typeset(unit))
-    )
-
-
 def has_phase(element: Polar) -> bool:
     """Return whether a phase is determined."""
     may_vanish = element.expanded_magnitude >= element.magnitude or element.region.holds_zero
     return element.expanded_phase_rad <= LARGEST_PHASE_U and not may_vanish
 
 
-def phase(element: Polar) -> Markup:
+def phase(element: Polar) -> str:
     """Return the phase with U, or a dash if it is not determined."""
-    return quantity_html(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else Markup(DASH)
+    return quantity_text(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
 
 
 def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
@@ -251,7 +219,7 @@ def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, 
     if region.holds_zero:
         return half_axes(region, exponent), WEAK, factor_text(element.region_factor)
     size, expanded = element.magnitude, element.expanded_magnitude
-    cell = quantity_html(size, expanded) if exponent is None else scaled_html(size, expanded, exponent)
+    cell = quantity_text(size, expanded) if exponent is None else scaled_text(size, expanded, exponent)
     return cell, phase(element), magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
 
 
@@ -265,17 +233,15 @@ def polar_freedom(element: Polar) -> str:
     return magnitude_phase_text(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
 
 
-def half_axes(region: CoverageRegion, exponent: int | None = None) -> Markup:
-    """Return the half-axes of a region as text."""
+def half_axes(region: CoverageRegion, exponent: int | None = None) -> str:
+    """Return the half-axes of a region; `exponent`: power that the head names."""
     if not np.isfinite(region.half_axes[0]):
-        return Markup(DASH)
+        return DASH
     large, small_axis = region.half_axes
     first = round_to_uncertainty(large, large, exponent)
     second = round_to_uncertainty(small_axis, small_axis, first.exponent)
-    power = times_ten(first.exponent, "") if exponent is None and first.exponent else Markup("")
-    return Markup("region ± {}, ± {}{}").format(
-        first.value, second.value, Markup(" × {}").format(power) if power else ""
-    )
+    power = f" × {power_text(first.exponent)}" if exponent is None and first.exponent else ""
+    return f"region ± {first.value}, ± {second.value}{power}"
 
 
 def factor_text(value: float) -> str:
@@ -289,27 +255,6 @@ def common_exponent(values: ComplexArray) -> int:
     return round_to_uncertainty(float(sizes.max()), 0.0).exponent if sizes.size else 0
 
 
-def short(value: float) -> Markup:
-    """Return two significant digits, with a power of ten if that is shorter."""
-    if not np.isfinite(value):
-        return Markup(DASH)
-    value = float(f"{value:.1e}")
-    exponent = round_to_uncertainty(value, 0.0).exponent
-    text = f"{value / 10.0**exponent:.2g}" if exponent else f"{value:.6g}"
-    text = text.replace("-", "\N{MINUS SIGN}")
-    return Markup("{} × {}").format(text, times_ten(exponent, "").strip()) if exponent else Markup(text)
-
-
-def number(value: float | None) -> str:
-    """Return a number with three significant digits as text."""
-    return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
-
-
-def small(value: float) -> str:
-    """Return two significant digits of an uncertainty, or a bound if it is very small."""
-    return f"{value:#.2g}".removesuffix(".") if value >= 1e-3 else "< 0.001"
-
-
 def degrees_of_freedom(value: float) -> str:
     """Return degrees of freedom as an integer; infinity if there are thousands."""
     return f"{value:.0f}" if value <= LARGEST_DOF else ("∞" if np.isinf(value) else f"> {LARGEST_DOF}")
@@ -317,21 +262,7 @@ def degrees_of_freedom(value: float) -> str:
 
 def microseconds(value_s: float | None, u_s: float | None) -> str:
     """Return a duration with U, or a dash if it is not known."""
-    return DASH if value_s is None or u_s is None else quantity_html(1e6 * value_s, 2e6 * u_s)
-
-
-def quantity_text(value: float, expanded: float, unit: str = "") -> str:
-    """Return value with U and unit for the terminal: `(2.0012 ± 0.0013) V/N`."""
-    both = round_to_uncertainty(value, expanded, 0)
-    if unit:
-        return f"{both.text} {typeset(unit)}"
-    return both.value if both.expanded == DASH else f"{both.value} ± {both.expanded}"
-
-
-def signed_text(value: float, form: str = ".2f") -> str:
-    """Return a number with a typographic minus sign, or a dash for NaN."""
-    text = format(value + 0.0, form) if np.isfinite(value) else DASH
-    return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "\N{MINUS SIGN}")
+    return DASH if value_s is None or u_s is None else quantity_text(1e6 * value_s, 2e6 * u_s)
 
 
 def capitalise(text: str) -> str:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, prefix
+from fusion.base import prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty, over_static, polar_elements
@@ -26,23 +26,19 @@ from fusion.report.table import (
     common_exponent,
     half_axes,
     microseconds,
-    number,
     page_column,
     phase,
     polar_cells,
     polar_freedom,
-    quantity_html,
-    scaled_html,
-    short,
     table,
-    times_ten,
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
 from fusion.sensitivity.ratio import driven_component as driven_load
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.digits import DASH, number_text, quantity_text, scaled_text, times_ten, typeset
 
 # The driven component, its output, and the strongest line.
 
@@ -187,7 +183,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
         size, remark = WEAK, f"95 % {half_axes(element.region)}"
         if not element.region.holds_zero:
             unit = result.phasors.unit[component]
-            size, remark = quantity_html(element.magnitude, element.expanded_magnitude, unit), _relative(element)
+            size, remark = quantity_text(element.magnitude, element.expanded_magnitude, unit), _relative(element)
         found.append(Headline(f"{label}, amplitude", size, remark))
     return found
 
@@ -280,12 +276,12 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     def exposure(pair: StereoResult) -> str:
         """Return the exposure as stated, or as measured with U."""
         stated = pair.u_exposure_s == 0.0
-        return f"{1e6 * pair.exposure_s:g}" if stated else microseconds(pair.exposure_s, pair.u_exposure_s)
+        return number_text(1e6 * pair.exposure_s, 6) if stated else microseconds(pair.exposure_s, pair.u_exposure_s)
 
     def noise(pair: StereoResult, name: str, power: float) -> str:
         """Return a power of one parameter of the noise models, left and right camera."""
         values = [getattr(model, name) for model in pair.noise]
-        return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
+        return ", ".join(number_text(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
     facts: Facts[StereoResult] = {
         "body": lambda pair: pair.body,
@@ -294,20 +290,20 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "exposure / µs": exposure,
         "subsets": lambda pair: DASH if pair.subsets_px is None else str(len(pair.subsets_px)),
         "points per frame, median": lambda pair: f"{np.median(pair.motion.points[pair.motion.points > 0]):.0f}",
-        "reprojection rms / px": lambda pair: number(pair.reprojection_px),
-        "rigid residual, median / µm": lambda pair: number(1e6 * float(np.nanmedian(pair.motion.residual_m))),
-        "correlation ZNCC, median": lambda pair: number(pair.median_zncc),
-        "speckle size / px": lambda pair: number(pair.speckle_px),
+        "reprojection rms / px": lambda pair: number_text(pair.reprojection_px),
+        "rigid residual, median / µm": lambda pair: number_text(1e6 * float(np.nanmedian(pair.motion.residual_m))),
+        "correlation ZNCC, median": lambda pair: number_text(pair.median_zncc),
+        "speckle size / px": lambda pair: number_text(pair.speckle_px),
         "σ of a subset, predicted, found / px": lambda pair: (
-            DASH if pair.sigma_px is None else ", ".join(number(float(value)) for value in pair.sigma_px)
+            DASH if pair.sigma_px is None else ", ".join(number_text(float(value)) for value in pair.sigma_px)
         ),
         "read noise / grey values": lambda pair: noise(pair, "read_variance_grey2", 0.5),
         "electrons per grey value": lambda pair: noise(pair, "variance_per_grey", -1.0),
-        "image noise / grey values": lambda pair: number(pair.noise_grey),
+        "image noise / grey values": lambda pair: number_text(pair.noise_grey),
         "fixed pattern, PRNU ± u / %": lambda pair: (
             DASH if pair.prnu is None else ", ".join(f"{100.0 * size:.2f} ± {100.0 * u:.2f}" for size, u in pair.prnu)
         ),
-        "condition of the sine fit": lambda pair: number(pair.fit.condition),
+        "condition of the sine fit": lambda pair: number_text(pair.fit.condition),
         "resolved lines": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
     }
     heads = [f"“{pair.name}”" for pair in stereo]
@@ -327,8 +323,8 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
         for k, line_index in enumerate(np.flatnonzero(pair.usable)):
             if line_index == line or found.deforms[k]:
                 sizes = zip(np.abs(found.phasors.value[k]), found.u_size[k], strict=True)
-                amplitudes = (quantity_html(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
-                cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
+                amplitudes = (quantity_text(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
+                cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, number_text(found.chance[k], 1)
                 rows.setdefault(found.phasors.channels, []).append(cells)
     caption = (
         "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and probability of more for a rigid body"
@@ -350,9 +346,9 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     remark = _relative(element) + ("" if relative is None else f"; {_verdict(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
     label = f"Sensitivity {name}" if found.kind[line] == "element" else capitalise(name)
-    size = quantity_html(element.magnitude, element.expanded_magnitude, unit)
-    turn = quantity_html(element.phase_rad, element.expanded_phase_rad, "rad")
-    degrees = quantity_html(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
+    size = quantity_text(element.magnitude, element.expanded_magnitude, unit)
+    turn = quantity_text(element.phase_rad, element.expanded_phase_rad, "rad")
+    degrees = quantity_text(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°")
     label = f"{label}, {found.frequency_hz[line]:.4f} Hz"
     return [Headline(label, size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
@@ -379,12 +375,12 @@ def _verdict(relative: Polar) -> str:
 
 def deviation(relative: Polar) -> str:
     """Return the deviation of a magnitude from static in per cent."""
-    return quantity_html(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
+    return quantity_text(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%")
 
 
 def _relative(element: Polar) -> str:
     """Return the relative expanded uncertainty of a magnitude with its coverage factor."""
-    return f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f})"
+    return f"U = {number_text(100.0 * element.expanded_magnitude / element.magnitude, 2)} % (k = {element.k:.2f})"
 
 
 def takes_table(evaluation: Evaluation) -> Table | None:
@@ -395,7 +391,7 @@ def takes_table(evaluation: Evaluation) -> Table | None:
     rows = []
     for k in np.flatnonzero(evaluation.lines.multiple == 1):
         for take in takes:
-            drift = scaled_html(100.0 * take.drift[k], 200.0 * take.u_drift[k], 0) if take is not takes[0] else "0"
+            drift = scaled_text(100.0 * take.drift[k], 200.0 * take.u_drift[k], 0) if take is not takes[0] else "0"
             ppm = 1e6 * (take.frequency_hz[k] / takes[0].frequency_hz[k] - 1.0)
             phase = np.angle(take.factor[k])
             rows.append((take.name, f"{take.frequency_hz[k]:.5f}", f"{ppm:+.2f}", drift, f"{phase:+.4f}"))
@@ -417,9 +413,9 @@ def supports_table(evaluation: Evaluation) -> Table | None:
             one, unit = found[k][c], moved.phasors.unit[c]
             if one is not None:
                 percent = 100.0 / moved.measured_mps2[k]
-                share = scaled_html(percent * one.magnitude, percent * one.expanded_magnitude, 0) if c < 3 else DASH
+                share = scaled_text(percent * one.magnitude, percent * one.expanded_magnitude, 0) if c < 3 else DASH
                 names = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
-                size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
+                size = quantity_text(one.magnitude, one.expanded_magnitude, unit)
                 rows.append((*names, MOTION_COMPONENTS[c], size, share))
     support = ("support", "determined by", "line / Hz", "component")
     head = (*support, "acceleration at the origin", "of the motion measured / %")
@@ -440,7 +436,7 @@ def lines_table(evaluation: Evaluation) -> Table:
     """Return the evaluated lines, and the strongest other lines with the reason."""
     lines, others = evaluation.lines, evaluation.lines.others
     rows = [
-        (float(f), (quantity_html(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
+        (float(f), (quantity_text(f, 2.0 * u), number_text(nominal, 6), str(int(multiple)), "result", why))
         for f, u, nominal, multiple, why in zip(
             lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
         )
@@ -449,7 +445,7 @@ def lines_table(evaluation: Evaluation) -> Table:
         f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
         fitted = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
         use = "fitted in addition" if fitted else "not fitted"
-        rows.append((f, (quantity_html(f, 2.0 * u), DASH, DASH, use, others.why[i])))
+        rows.append((f, (quantity_text(f, 2.0 * u), DASH, DASH, use, others.why[i])))
     rows.sort(key=lambda row: row[0])
     more = len(others.snr) - OTHER_LINES
     head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
@@ -463,12 +459,13 @@ def channels_table(evaluation: Evaluation) -> Table | None:
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
         element = polar(value, channel.phasors.covariance[line], float(channel.phasors.dof[line]))
-        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
-        amplitude = quantity_html(
+        amplitudes = [abs(one.phasors.value[line, 0]) for one in evaluation.channels if one.unit == channel.unit]
+        factor, letter = prefix(np.array(amplitudes)) if channel.unit in PREFIXED else (1.0, "")
+        amplitude = quantity_text(
             element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit
         )
-        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        texts = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
+        rest = Markup("{} {}").format(number_text(channel.residual_rms / factor, 2), typeset(letter + channel.unit))
+        texts = (channel.name, channel.daq, channel.quantity, number_text(channel.sample_rate_hz, 6))
         rows.append((*texts, amplitude, phase(element), rest))
     head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
     caption = "Channels at the strongest line; U (95 %) from the scatter alone"
@@ -483,11 +480,11 @@ def drift_table(evaluation: Evaluation) -> Table | None:
         page_column("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
         page_column("blocks", lambda drift: str(drift.blocks)),
         page_column("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
-        page_column("amplitude / %", lambda drift: scaled_html(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
-        page_column("phase / mrad", lambda drift: scaled_html(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
+        page_column("amplitude / %", lambda drift: scaled_text(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
+        page_column("phase / mrad", lambda drift: scaled_text(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
         page_column(
             "probability by noise",
-            lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}",
+            lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else number_text(d.chance, 2),
         ),
     ]
     caption = (
@@ -515,19 +512,19 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
         if tie is None:
             return "time base" if clock is evaluation.clocks[0] else "time base of its take"
         middle = np.asarray(tie.middle_s)
-        return quantity_html(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+        return quantity_text(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
 
     facts: Facts[ClockResult] = {
         "file": lambda clock: clock.file.name,
         "edges found": of_trigger(lambda t: str(len(t.number)), "no trigger"),
         "missing, doubled, spurious": of_trigger(lambda t: f"{len(t.missing)}, {t.doubled}, {t.spurious}"),
-        "trigger rate / Hz": of_trigger(lambda t: quantity_html(1.0 / t.period_s, u_of(t, 1) / t.period_s**2)),
-        "jitter beyond sampling / µs": of_trigger(lambda t: number(1e6 * t.jitter_s)),
-        "first edge / s": of_trigger(lambda t: quantity_html(t.start_s, u_of(t, 0))),
+        "trigger rate / Hz": of_trigger(lambda t: quantity_text(1.0 / t.period_s, u_of(t, 1) / t.period_s**2)),
+        "jitter beyond sampling / µs": of_trigger(lambda t: number_text(1e6 * t.jitter_s)),
+        "first edge / s": of_trigger(lambda t: quantity_text(t.start_s, u_of(t, 0))),
         "pulse width / µs": lambda clock: microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
         "offset in the middle / s": offset,
         "rate − 1 / 10⁻⁶": of_tie(
-            lambda t: quantity_html(1e6 * (t.rate - 1.0), 2e6 * float(np.sqrt(t.covariance[1, 1])))
+            lambda t: quantity_text(1e6 * (t.rate - 1.0), 2e6 * float(np.sqrt(t.covariance[1, 1])))
         ),
         "edges paired by": of_tie(lambda t: f"{t.decided_by} ({t.pairs})"),
     }

@@ -18,6 +18,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 from fusion.base import PROGRAM, ProgressCallback, cleanup_on_signal, count_text, no_progress
+from shakercal._common.digits import PLAIN_DIGITS
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -33,11 +34,12 @@ log = logging.getLogger(PROGRAM)
 PIPE_WIDTH = 10_000
 """Width of a console without line breaks."""
 SPELLED = str.maketrans(
-    {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "²": "^2", "³": "^3", "°": " deg", "µ": "u", "μ": "u"}
+    {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "°": " deg", "µ": "u", "μ": "u"}
     | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}
     | {"≈": "~", "√": "sqrt", "∞": "inf", "Ω": "Ohm", "✓": "yes"}
 )
 """ASCII spelling of characters that the encoding of the output lacks."""
+RAISED = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 """Characters that control a terminal: escape sequences, and changes of the writing direction."""
 
@@ -55,7 +57,8 @@ def _spelled(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     parts = []
-    for sign in error.object[error.start : error.end]:
+    lacking = RAISED.sub(lambda power: f"^{power[0].translate(PLAIN_DIGITS)}", error.object[error.start : error.end])
+    for sign in lacking:
         text = sign.translate(SPELLED)
         if text == sign and unicodedata.name(sign, "").startswith("GREEK "):
             text = unicodedata.name(sign).rpartition("LETTER ")[2].lower()

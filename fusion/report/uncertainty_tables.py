@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, round_to_uncertainty
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.instrument_consistency import CommonEstimate, Consistency
@@ -23,16 +22,9 @@ from fusion.report.table import (
     degrees_of_freedom,
     factor_text,
     magnitude_phase_text,
-    number,
     page_column,
     phase,
-    quantity_html,
-    scaled_html,
-    short,
-    signed_text,
-    small,
     table,
-    times_ten,
 )
 from fusion.report.tables import (
     acceleration,
@@ -47,8 +39,19 @@ from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, budget
 from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unknowns
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import (
+    DASH,
+    number_text,
+    quantity_text,
+    round_to_uncertainty,
+    scaled_text,
+    signed_text,
+    small,
+    times_ten,
+    typeset,
+)
 
 # Agreement of instruments: deviations, scatter, untested unknowns.
 
@@ -135,7 +138,7 @@ def _scatter_table(results: list[Acceleration]) -> Table | None:
         for scatter in result.scatter:
             parts = zip(result.phasors.frequency_hz, scatter.amplitude, scatter.phase, scatter.dof, strict=True)
             for frequency, amplitude, phase_rad, dof in parts:
-                sizes = (f"{100.0 * amplitude:.2g}", f"{1e3 * phase_rad:.2g}")
+                sizes = (number_text(100.0 * amplitude, 2), number_text(1e3 * phase_rad, 2))
                 freedom = f"{dof:.0f}" if np.isfinite(dof) else DASH
                 rows.append((result.body, scatter.instrument, f"{frequency:.4f}", *sizes, freedom))
     head = ("body", "instrument", "frequency / Hz", "amplitude / %", "phase / mrad", "dof")
@@ -152,7 +155,7 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
     columns: list[TableColumn[tuple[str, CommonEstimate]]] = [
         page_column("body", lambda row: row[0], "l"),
         page_column("unknown", lambda row: row[1].name, "l"),
-        page_column("stated u", lambda row: f"{row[1].u:.2g}"),
+        page_column("stated u", lambda row: number_text(row[1].u, 2)),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
         page_column("value / u by the readings", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
         page_column("estimate / u", lambda row: signed_text(row[1].estimate, "+.2f")),
@@ -171,11 +174,12 @@ def _untested_table(results: list[Acceleration]) -> Table | None:
     columns: list[TableColumn[tuple[str, Untested]]] = [
         page_column("body", lambda row: row[0], "l"),
         page_column("unknown", lambda row: row[1].name, "l"),
-        page_column("stated u", lambda row: f"{row[1].u:.2g}"),
+        page_column("stated u", lambda row: number_text(row[1].u, 2)),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
         page_column("largest effect on", lambda row: row[1].component, "l"),
         page_column(
-            "by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH
+            "by / % of it",
+            lambda row: number_text(100.0 * row[1].relative, 2) if np.isfinite(row[1].relative) else DASH,
         ),
         page_column("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
     ]
@@ -254,14 +258,14 @@ def _input(entry: BudgetEntry) -> str:
         return f"{entry.count} unknowns" if entry.count > 1 else DASH
     unit = "" if entry.unit == "1" else typeset(entry.unit)
     each = f", {entry.count} times" if entry.count > 1 else ""
-    return Markup("{} {}").format(short(entry.u), unit).strip() + each
+    return Markup("{} {}").format(number_text(entry.u, 2), unit).strip() + each
 
 
 def _slope(value: float, share: float) -> str:
     """Return a sensitivity coefficient with its sign, or that it is about zero."""
     if not np.isfinite(value):
         return DASH
-    return short(value) if share >= SMALLEST_SLOPE else "≈ 0"
+    return number_text(value, 2) if share >= SMALLEST_SLOPE else "≈ 0"
 
 
 def other_loads_table(evaluation: Evaluation) -> Table | None:
@@ -281,7 +285,7 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
         share = shares.element(line, c)
         k_re, k_im = shares.factors(line, c)
         parts = [
-            scaled_html(100.0 * part, 100.0 * u, 0)
+            scaled_text(100.0 * part, 100.0 * u, 0)
             for part, u in ((share.re, k_re * share.u_re), (share.im, k_im * share.u_im))
         ]
         rows.append(
@@ -321,7 +325,7 @@ def _points_table(spread: PointSpread, line: int) -> Table | None:
         page_column("point", lambda i: spread.channels[i], "l"),
         page_column(f"{first} / mm", lambda i: signed_text(1e3 * spread.place_m[i, 0], ".1f")),
         page_column(f"{second} / mm", lambda i: signed_text(1e3 * spread.place_m[i, 1], ".1f")),
-        page_column("amplitude / (m/s²)", lambda i: quantity_html(points[i].magnitude, points[i].expanded_magnitude)),
+        page_column("amplitude / (m/s²)", lambda i: quantity_text(points[i].magnitude, points[i].expanded_magnitude)),
         page_column("phase / rad", lambda i: phase(points[i])),
         page_column("from the mean / %", lambda i: signed_text(100.0 * (abs(ratio[i]) - 1.0), "+.3f")),
         page_column("from the mean / mrad", lambda i: signed_text(1e3 * float(np.angle(ratio[i])), "+.2f")),
@@ -337,15 +341,15 @@ def _spread_table(spread: PointSpread) -> Table | None:
 
     def turn(line: int, axis: int) -> str:
         element, micro = planes[line][axis + 1], 1e6 / (2.0 * np.pi * spread.frequency_hz[line]) ** 2
-        return quantity_html(micro * element.magnitude, micro * element.expanded_magnitude)
+        return quantity_text(micro * element.magnitude, micro * element.expanded_magnitude)
 
     first, second = (axis_name(axis) for axis in spread.axes)
     columns: list[TableColumn[int]] = [
         page_column("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
-        page_column("mean / (m/s²)", lambda k: quantity_html(planes[k][0].magnitude, planes[k][0].expanded_magnitude)),
+        page_column("mean / (m/s²)", lambda k: quantity_text(planes[k][0].magnitude, planes[k][0].expanded_magnitude)),
         page_column("phase / rad", lambda k: phase(planes[k][0])),
-        page_column("spread / %", lambda k: number(100.0 * float(spread.amplitude_spread[k]))),
-        page_column("spread / mrad", lambda k: number(1e3 * float(spread.phase_spread_rad[k]))),
+        page_column("spread / %", lambda k: number_text(100.0 * float(spread.amplitude_spread[k]))),
+        page_column("spread / mrad", lambda k: number_text(1e3 * float(spread.phase_spread_rad[k]))),
         page_column(f"rocking about {first} / µrad", lambda k: turn(k, 0)),
         page_column(f"rocking about {second} / µrad", lambda k: turn(k, 1)),
         page_column("left / %", lambda k: _left(spread, float(spread.left_relative[k]))),
@@ -369,12 +373,12 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table | None:
     size, turn = ratios.mean_magnitude / np.abs(ratios.fused), np.angle(mean[:, 0] / ratios.fused)
     columns: list[TableColumn[int]] = [
         page_column("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
-        page_column("mean", lambda k: scaled_html(means[k].magnitude, means[k].expanded_magnitude, exponent)),
+        page_column("mean", lambda k: scaled_text(means[k].magnitude, means[k].expanded_magnitude, exponent)),
         page_column(
-            "spread / %", lambda k: number(100.0 * float(ratios.magnitude_spread[k] / ratios.mean_magnitude[k]))
+            "spread / %", lambda k: number_text(100.0 * float(ratios.magnitude_spread[k] / ratios.mean_magnitude[k]))
         ),
         page_column("phase / rad", lambda k: phase(means[k])),
-        page_column("spread / mrad", lambda k: number(1e3 * float(ratios.phase_spread_rad[k]))),
+        page_column("spread / mrad", lambda k: number_text(1e3 * float(ratios.phase_spread_rad[k]))),
         page_column("to the fused ratio / %", lambda k: signed_text(100.0 * (size[k] - 1.0), "+.3f")),
         page_column("to the fused ratio / mrad", lambda k: signed_text(1e3 * float(turn[k]), "+.2f")),
     ]
@@ -390,7 +394,7 @@ def _title(spread: PointSpread) -> str:
 
 def _left(spread: PointSpread, share: float) -> str:
     """Return the residual of a plane in per cent; a dash without degrees of freedom."""
-    return number(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
+    return number_text(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
 
 
 # A Monte Carlo run: 95 % intervals of the draws and of first-order propagation.
@@ -418,7 +422,7 @@ def _table(result: Propagated, draws: int) -> Table:
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
     good = float(np.nanmax(strong, initial=0.0))
     intervals = f"shortest 95 % intervals of {draws} draws"
-    caption = f"{capitalise(result.name)}: {intervals}; their number determines the ends to {good:.2g} u"
+    caption = f"{capitalise(result.name)}: {intervals}; their number determines the ends to {number_text(good, 2)} u"
     return Table(caption, (*head, "in the region", ""), "ll" + "r" * 7 + "l", tuple(rows))
 
 
@@ -464,8 +468,8 @@ def _as_stated(item: UncertainInput) -> str:
     stated = item.stated
     if stated is None:
         return "u"
-    how = f"U, k = {stated.k:g}" if stated.k is not None else f"half-width, {stated.distribution}"
-    freedom = "" if stated.dof is None else f"{stated.dof:g} degrees of freedom"
+    how = f"U, k = {number_text(stated.k, 6)}" if stated.k is not None else f"half-width, {stated.distribution}"
+    freedom = "" if stated.dof is None else f"{number_text(stated.dof, 6)} degrees of freedom"
     return ", ".join(filter(None, (how, freedom, item.source)))
 
 
@@ -475,12 +479,12 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
     def size_text(item: UncertainInput, factor: float) -> str:
         sizes = factor * np.unique(np.ravel(item.u))
         sizes = 100.0 * sizes if item.relative else sizes
-        text = " to ".join(dict.fromkeys((f"{sizes[0]:.3g}", f"{sizes[-1]:.3g}")))
+        text = " to ".join(dict.fromkeys((number_text(sizes[0]), number_text(sizes[-1]))))
         return f"{text} %" if item.relative else text
 
     def value(item: UncertainInput) -> str:
         numbers = np.ravel(item.value) if item.value is not None else np.array([])
-        return ", ".join(f"{number:.9g}" for number in numbers) if 0 < len(numbers) <= 3 else DASH
+        return ", ".join(number_text(number, 9) for number in numbers) if 0 < len(numbers) <= 3 else DASH
 
     columns: tuple[TableColumn[UncertainInput], ...] = (
         page_column("file", lambda item: item.file.name, "l"),

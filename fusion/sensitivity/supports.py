@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import polar
 from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
@@ -33,6 +32,7 @@ from photogram.geometry import skew
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors, real_stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.digits import number_text, round_to_uncertainty
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -317,7 +317,7 @@ def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
-            name = f"{label} at {phasors.frequency_hz[line]:.9g} Hz, part {part}"
+            name = f"{label} at {number_text(phasors.frequency_hz[line], 9)} Hz, part {part}"
             offset = np.zeros_like(phasors.value)
             offset[line] = as_complex(step)
             dof = float(phasors.dof[line])

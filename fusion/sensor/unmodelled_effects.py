@@ -10,11 +10,12 @@ import numpy as np
 
 from fusion.base import PERCENT
 from fusion.recording.rig import Rig
-from fusion.report.table import Table, capitalise, small
+from fusion.report.table import Table, capitalise
 from fusion.sensor.model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import small
 from shakercal._common.notices import Notice
 
 CAUSE_LABELS = {

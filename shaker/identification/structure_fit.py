@@ -28,7 +28,6 @@ from shaker.identification.measured_curves import (
     line_correlation_term,
 )
 from shaker.identification.structures import CHANGE, MechanicalStructure
-from shaker.labels import typeset
 from shaker.model_notices import (
     DAMPING_UNDETERMINED,
     FIT_UNSETTLED,
@@ -44,6 +43,7 @@ from shaker.model_notices import (
     STIFFNESS_UNDETERMINED,
 )
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
+from shakercal._common.digits import typeset
 from shakercal._common.fitting import LMOptions, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.digits import number_text
 
 DefectKind = Literal["lost", "clipped", "steps"]
 
@@ -76,12 +77,12 @@ class Defect(Arrays, shapes="spans N 2"):
         """Describe the defect of a channel sampled at `time_s` (S,): kind, numbers, times."""
         unit = f" {unit}" if unit else ""
         if self.kind == "steps":
-            size = f"{self.steps:.2g} converter steps of {self.step:.4g}{unit}"
+            size = f"{number_text(self.steps, 2)} converter steps of {number_text(self.step, 4)}{unit}"
             return f"its driven line has an amplitude of only {size}"
         share = f"{self.count} of {len(time_s)} samples"
         if self.kind == "clipped":
             low, high = self.levels
-            limits = [f"{level:.5g}{unit}" for level in (low, high) if np.isfinite(level)]
+            limits = [f"{number_text(level, 5)}{unit}" for level in (low, high) if np.isfinite(level)]
             return f"is clipped at {' and '.join(limits)}: {share}"
         ends = [(float(time_s[first]), float(time_s[last - 1])) for first, last in self.spans[:_NAMED].tolist()]
         times = ", ".join(f"{first:.6g} s to {last:.6g} s" for first, last in ends)

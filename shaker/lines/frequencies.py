@@ -34,6 +34,7 @@ from shaker.sine.aliasing import (
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics searched for
@@ -334,10 +335,10 @@ def _build_lines(
         share = float(np.max(amplitude[k] / amplitude[first[q]]))
         reason = "is significant" if auto else "requested"
         why.append(
-            f"fundamental, {height[k]:.3g} times its noise"
+            f"fundamental, {number_text(float(height[k]))} times its noise"
             if m == 1
             else f"harmonic {m} of {nominal[q]:.6g} Hz {reason}: {share:.2g} of the fundamental, "
-            f"{height[k]:.3g} times its noise"
+            f"{number_text(float(height[k]))} times its noise"
         )
     listed = [f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})" for i in np.argsort(-others.snr, kind="stable")]
     if listed:

@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.labels import mechanical_units, typeset
+from shaker.labels import mechanical_units
 from shaker.release.load_model import upper_poles
 from shaker.release.record import ReleaseReading, StepRecord
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
+from shakercal._common.digits import typeset
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 # The output, and the masses of a series of loads as named unknowns.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.labels import mechanical_units, typeset
+from shaker.labels import mechanical_units
 from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
     LOADS_AMPLITUDE_DEPENDENT,
@@ -35,6 +35,7 @@ from shaker.release.load_modes import (
     project_amplitudes,
 )
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import typeset
 from shakercal._common.fitting import REJECT_CHI2, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 

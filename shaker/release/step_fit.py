@@ -41,6 +41,7 @@ from shaker.release.shape_hypotheses import (
     with_further_shapes,
 )
 from shakercal._common.arrays import Arrays, FloatArray
+from shakercal._common.digits import number_text
 from shakercal._common.fitting import REJECT_CHI2
 from shakercal._common.notices import Notice
 
@@ -373,7 +374,9 @@ def describe_difference(first: StepFit, other: StepFit) -> str:
     if not np.any(difference > np.sqrt(np.diag(first.model.covariance))):
         return ""
     shapes = [SHAPES[fit.shape] for fit in (first, other)]
-    poles = [" and ".join(f"{hz:.3g}" for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model]
+    poles = [
+        " and ".join(number_text(float(hz)) for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model
+    ]
     of_poles = f" (real pole at {poles[0]} Hz or {poles[1]} Hz)" if poles[0] else ""
     return f"{shapes[0]} or {shapes[1]}{of_poles}"
 

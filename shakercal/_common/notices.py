@@ -20,17 +20,33 @@ def plain_value(value: Any) -> Value:
     return value.item() if hasattr(value, "item") else value  # type: ignore[no-any-return]
 
 
+WITH_UNCERTAINTY = re.compile(r"\{(\w+):\.?\d*g\} ± \{(\w+):\.?\d*g\}(?=( [\w{µ%])?)")
+"""Fields of a value and its uncertainty in a template, and the beginning of a unit that follows."""
+
+
 class _Formatter(string.Formatter):
-    """`str.format` that puts a space between a number and its %."""
+    """`str.format` with typographic minus signs, powers of ten and spaces before %."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        from shakercal._common.digits import number_text, python_typeset  # imported late: a module less in every chain
+
+        general = re.fullmatch(r"\.?(\d*)g", format_spec)
+        if general and not isinstance(value, str):
+            return number_text(float(value), int(general[1] or 6))
         text = format(value, format_spec)
+        text = text if isinstance(value, str) else python_typeset(text)
         return f"{text[:-1]} %" if format_spec.endswith("%") else text
 
 
 def fill_template(template: str, values: Mapping[str, Value]) -> str:
-    """Return a template with its values."""
-    return _Formatter().vformat(template, (), values)
+    """Return a template with its values, which end where their uncertainty does."""
+    from shakercal._common.digits import round_to_uncertainty
+
+    def with_uncertainty(found: re.Match[str]) -> str:
+        text = round_to_uncertainty(float(values[found[1]]), float(values[found[2]])).text
+        return f"({text})" if found[3] and not text.startswith("(") else text
+
+    return _Formatter().vformat(WITH_UNCERTAINTY.sub(with_uncertainty, template), (), values)
 
 
 @dataclass(frozen=True)
@@ -178,7 +194,7 @@ def warnings_first(notices: Iterable[Notice]) -> list[Notice]:
     return sorted(once, key=lambda notice: notice.severity != "warning")
 
 
-NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?: × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
 """A number in a notice; digits within a name, such as that of a channel, do not count."""
 
 
@@ -229,9 +245,11 @@ def gather(groups: Sequence[tuple[str, Iterable[Notice]]]) -> list[GatheredNotic
 
 def _in_ranges(texts: Sequence[str]) -> str:
     """Return one text of several, with the smallest and largest of every number."""
+    from shakercal._common.digits import python_number
+
     words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
     ranges = []
     for numbers in columns:
-        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
+        ordered = sorted(set(numbers), key=python_number)
         ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
     return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)

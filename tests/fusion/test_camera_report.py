@@ -32,6 +32,7 @@ from photogram.calibration.calibration_notices import FEW_VIEWS
 from photogram.calibration.calibration_result import CalibratedImage, CalibratedView, Calibration, Rejection
 from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.digits import python_number
 from shakercal._common.notices import Notice
 
 DRAWS = 1500
@@ -248,8 +249,8 @@ def test_every_parameter_has_its_row(calibration: Calibration) -> None:
     turn = dict(zip(RIG_PARAMETERS[18:21], calibration.rig.right_from_left.pose[3:], strict=True))
     assert [row[0] for row in rows] == list(RIG_PARAMETERS[:24])
     for row, item in zip(rows, calibration.parameters, strict=True):
-        power = re.search(r"10<sup>(−?\d+)", row[5])
-        scale = 10.0 ** int(power.group(1).replace("−", "-")) if power else 1.0
+        power = re.match(r"10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", row[5])
+        scale = python_number(f"1 × {power[0]}") if power else 1.0
         scale *= 1e-3 if row[5].endswith("mm") else 1.0
         value, u, expanded = (scale * float(cell.replace("−", "-")) for cell in row[2:5])
         assert value == pytest.approx(turn.get(item.name, item.value), abs=0.06 * 2 * item.u)

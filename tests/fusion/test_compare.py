@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_outline import self_contained
 from support import documented_columns, folder_contents, refusals, rows
 
 from fusion.cli import main
@@ -126,9 +127,22 @@ def test_tables_become_a_page_and_a_table(tmp_path) -> None:
     assert list(one) == documented_columns("comparison.md", "comparison.csv")
     assert [column.name for column in COMPARISON] == list(one)
     assert float(two["E_n_complex_largest_pair"]) == pytest.approx(2e-10 / (2**0.5 * 1e-10) / 5.99146**0.5)
-    assert "chart-Fz-Fz" in (out / "comparison.html").read_text(encoding="utf-8")
+    page = (out / "comparison.html").read_text(encoding="utf-8")
+    assert "chart-Fz-Fz" in page
+    text = "".join(self_contained(page).text)
+    assert "Results agree" in text
+    assert "U covers all 2 values" in text
+    assert "largest |E_n| of a pair 0.71: one and two, magnitude of Fz per Fz, 80.0050 Hz" in text
     (unmatched,) = (notice for notice in notices_of(out) if notice.code == raised.UNMATCHED_VALUES.code)
     assert unmatched.values == {"count": 2}
+
+
+def test_a_difference_beyond_its_u_is_the_verdict(tmp_path, capsys) -> None:
+    for name, value in (("a", 2e-7), ("b", 2e-7 + 6e-10), ("c", 2e-7)):
+        (tmp_path / f"{name}.csv").write_text(table((80.0, value, 2e-10)))
+    assert main(["compare", *(str(tmp_path / f"{name}.csv") for name in "abc"), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "Results differ: U does not cover 1 of 2 values (largest |E_n| of a pair 2.12: " in told  # 6/(2·√2·1)
 
 
 def test_of_several_kinds_the_element_counts_and_ratios_meet_ratios(tmp_path) -> None:

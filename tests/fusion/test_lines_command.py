@@ -244,6 +244,6 @@ def test_lines_that_contradict_the_edges_are_told_and_known_rates_stay(tmp_path:
     tie = refine_ties(wrong, lines)[0].ties["second"]
     assert tie is not None
     assert tie.rate == pytest.approx(1.0 + 2e-4, abs=1e-6)
-    assert "0.0002" in tie.notices[-1].text
+    assert "2 × 10⁻⁴" in tie.notices[-1].text
     well_known = _spoiled(base, 1.0, 0.0, 1e-7)
     assert refine_ties(well_known, lines) == (well_known, lines)

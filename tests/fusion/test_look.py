@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
+import time
 import tomllib
 from collections.abc import Callable
 from itertools import pairwise
@@ -22,7 +24,7 @@ from fusion.errors import ComputeError, InputError
 from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.planning.look.data_checks import _sigma_px
 from fusion.planning.look.finding import refusal_findings
-from fusion.planning.look.look import look_page
+from fusion.planning.look.look import MISSED, WATCHED_S, WatchedPage, look_page
 from fusion.planning.look.look_notices import (
     AIM_MISSED,
     ALIASED_LINES,
@@ -47,6 +49,7 @@ from fusion.planning.look.look_notices import (
     SIGNAL_DRIFT,
     SPECKLE_SIZE,
 )
+from fusion.planning.look.problem_pictures import mark_image
 from fusion.recording.recording_notices import RESPONSE_RANGE_TOO_SMALL
 from fusion.recording.toml import to_toml
 from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
@@ -244,7 +247,7 @@ def _poses_from_sensor_to_camera(folder: Path) -> list[Mistake]:
 def _axes_exchanged(folder: Path) -> list[Mistake]:
     exchange = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     place(folder, "top", lambda rotation, translation: (exchange @ rotation, exchange @ translation))
-    return [{"causes": r"stereo.top.rotation .*90° .*\(-1, 0, 0\)"}]
+    return [{"causes": r"stereo.top.rotation .*90° .*\(−1, 0, 0\)"}]
 
 
 def _late_pair(folder: Path) -> list[Mistake]:
@@ -317,10 +320,68 @@ def test_the_light_is_the_status_and_a_page(campaign, capsys):
     assert told.startswith("RED   Fz 80.0 Hz, simulated\nREPEAT: ")
     assert f"CHECK: {AIM_MISSED.code} " in told
     text = page.read_text(encoding="utf-8")
-    assert '<header class="light wrong"><strong>REPEAT</strong>' in text
+    assert '<header class="light wrong">\n<strong class="lit" style="--letters: 6">REPEAT</strong>' in text
     assert "clipped" in text
+    assert re.search(r"last look <time>\d\d:\d\d:\d\d</time>", text)
+    assert text.count('src="data:image/svg+xml;base64') == 1  # the clipped part of the trace
     assert "refresh" not in text
     assert '<meta http-equiv="refresh" content="2">' in look_page([look(campaign / "Fz-0080")], 2.0)
+
+
+def test_the_page_of_a_watched_folder_turns_grey_when_the_program_has_ended(campaign, browser, tmp_path):
+    repaint(campaign, "top-right", lambda image, i: np.minimum(image.astype(float) * 2.0, 1023))
+    page, found = tmp_path / "light.html", look(campaign / "Fz-0080")
+    page.write_text(look_page([found], WATCHED_S), encoding="utf-8")
+    for late_s, word in ((MISSED * WATCHED_S - 4.0, "REPEAT"), (MISSED * WATCHED_S + 4.0, "NOT RUNNING")):
+        context = browser.new_context(viewport={"width": 400, "height": 800})
+        opened = context.new_page()
+        opened.clock.install(time=time.time() + late_s)
+        opened.goto(page.as_uri(), wait_until="commit")
+        opened.wait_for_selector("header strong:visible")
+        assert opened.locator("header strong:visible").all_inner_texts() == [word]
+        assert opened.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        grey = "rgb(92, 92, 92)"
+        assert (opened.evaluate("getComputedStyle(document.querySelector('.light')).backgroundColor") == grey) == (
+            word == "NOT RUNNING"
+        )
+        picture = opened.locator(".findings img").first
+        assert picture.evaluate("one => one.decode().then(() => one.naturalWidth)") > 200
+        context.close()
+
+
+def test_saturated_pixels_are_outlined_where_they_are():
+    image = np.full((240, 320), 300, dtype=np.uint16)
+    image[100:140, 200:260] = 1023
+    picture = mark_image(image, "saturated", image >= 1023)
+    data = np.frombuffer(base64.b64decode(picture.source.partition(",")[2]), np.uint8)
+    blue, _, red = cv2.imdecode(data, cv2.IMREAD_COLOR).astype(float).transpose(2, 0, 1)
+    rows, columns = np.nonzero(red - blue > 100.0)
+    assert (rows.min(), rows.max()) == (pytest.approx(98, abs=4), pytest.approx(141, abs=4))
+    assert (columns.min(), columns.max()) == (pytest.approx(198, abs=4), pytest.approx(261, abs=4))
+
+
+def test_the_page_is_renewed_while_the_program_runs_and_tells_that_it_looks(campaign, monkeypatch, tmp_path):
+    monkeypatch.setattr("fusion.planning.look.look.WATCHED_S", 0.05)
+
+    def written() -> tuple[int, str]:
+        text = path.read_text(encoding="utf-8")
+        return int(re.findall(r'data-written="(\d+)"', text)[0]), re.findall(r"<title>([A-Z ]+) ", text)[0]
+
+    path = tmp_path / "light.html"
+    with WatchedPage(path) as page:
+        first, word = written()
+        assert word == "LOOKING"
+        page.show([])
+        end = time.monotonic() + 20.0
+        while written()[0] <= first + 100 and time.monotonic() < end:
+            time.sleep(0.02)
+        assert written()[0] > first + 100
+        assert written()[1] == "KEEP"
+        page.begin()
+        assert written()[1] == "LOOKING"
+    last = written()
+    time.sleep(0.2)
+    assert written() == last
 
 
 def test_a_manifest_with_mistakes_is_refused(campaign, capsys):

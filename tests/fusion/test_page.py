@@ -15,7 +15,9 @@ from browsing import Page
 from evaluation_factory import make_evaluation
 
 from fusion.report.figure import RED, Figure, Scale, empty_figure
+from fusion.report.folder import TEMPLATES
 from fusion.report.recording_report import render_report, write_results
+from shakercal._common.digits import number_text, python_number, quantity_text
 
 NASTY = "</script><b>\"'&\u2028 <!-- name"
 
@@ -234,3 +236,55 @@ def test_pages_fit_their_window_and_have_names_for_everything(browser, results):
     assert all(after - before <= 1 for before, after in pairwise(levels))
     assert found == {"wide": 0, "images": 0, "plots": 0, "tables": 0, "heads": 0, "buttons": 0, "language": "en"}
     opened.close()
+
+
+def test_figures_print_numbers_as_tables_do(browser):
+    program = (TEMPLATES / "figures.js").read_text(encoding="utf-8")
+    rule = program[program.index("  /* Numbers by the rule") : program.index("  /* Ticks with the decimals")]
+    random = np.random.default_rng(5)
+    values = random.choice([-1.0, 1.0], 400) * 10.0 ** random.uniform(-9.0, 9.0, 400)
+    halves = np.abs(values) * 10.0 ** random.uniform(-6.0, 1.0, 400)
+    pairs = [
+        *zip(values.tolist(), halves.tolist(), strict=True),
+        (0.5, 0.0996),
+        (0.0, 0.1),
+        (-1e-9, 0.3),
+        (1234.0, 120.0),
+    ]
+    context = browser.new_context()
+    call = "return pairs.map(([v, u]) => [told(v, u), told(v)]);"
+    told = context.new_page().evaluate(f"(pairs) => {{ {rule}; {call} }}", pairs)
+    context.close()
+    for (value, half), (with_u, alone) in zip(pairs, told, strict=True):
+        assert with_u == quantity_text(value, half)
+        assert alone == number_text(value, 6)
+
+
+def test_ticks_are_told_without_programs_notation(browser, tmp_path, monkeypatch):
+    made = empty_figure("every", 4.0, 2, shared_x=False)
+    small, wide = made.panels
+    small.line([0.0, 1.0, 2.0], [-6e-7, 0.0, 7.4e-7], "small")
+    small.y.label = "reading / V"
+    wide.line([1.0, 100.0, 1000.0], [2e-7, 1.0, 5.0], "wide")
+    wide.x.log = wide.y.log = True
+    monkeypatch.setattr("fusion.report.recording_report.draw_all", lambda _: defaultdict(list, channels=[made]))
+    path = tmp_path / "page.html"
+    path.write_text(render_report(make_evaluation(tmp_path / "recording")), encoding="utf-8")
+    opened = Page(browser, path)
+    opened.draw("every")
+    texts = opened.page.evaluate(
+        f"(name) => {{ {PLOTS} return plots.map((plot) => [plot.model.left[0], plot.model.below[0]].map((axis, k) => {{"
+        " const range = k ? plot.model.x_range : plot.model.y_range;"
+        " const ticks = axis.ticker.get_ticks(range.start, range.end, range, NaN).major;"
+        " return [axis.axis_label, axis.formatter.doFormat(ticks, null), ticks]; })); }",
+        "every",
+    )
+    opened.close()
+    (reading, across), (size, frequency) = texts
+    assert reading[0] == "reading / V   × 10⁻⁷"
+    assert [1e-7 * python_number(text) for text in reading[1]] == pytest.approx(reading[2], abs=1e-12)
+    assert "−" in reading[1][0]
+    assert across[1][0] in ("0", "0.0")
+    assert all(text.startswith("10") for text in size[1])
+    assert "10⁻⁶" in size[1]
+    assert frequency[1][-2:] == ["100", "1000"]

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from page_outline import outline, self_contained
 
 from fusion.phasors.deformation import DeflectionShape, deflection_shape
-from fusion.report.figure import Figure, decimate_edges, empty_figure, extremes, padded_limits, power_text
+from fusion.report.figure import Figure, decimate_edges, empty_figure, extremes, padded_limits
 from fusion.report.figure_files import render_figure
 from fusion.report.motion_figures import (
     beat_curve,
@@ -26,13 +26,14 @@ from fusion.report.motion_figures import (
     residual_spectrum,
 )
 from fusion.report.recording_report import draw_all, render_report
-from fusion.report.table import degrees_of_freedom, quantity_html, scaled_html, short, times_ten
+from fusion.report.table import degrees_of_freedom
 from fusion.report.tables import headlines, source_tables
 from fusion.report.uncertainty_tables import budget_tables, other_loads_table
 from fusion.sensitivity.analyse import Evaluation
 from photogram.camera import Points3D
 from photogram.geometry import rotation_from_vector
 from photogram.motion import Deformation, deformation, fit_motion
+from shakercal._common.digits import number_text, power_text, quantity_text, scaled_text, times_ten
 
 RIG_NAME = "<script>alert(1)</script> & co"
 
@@ -61,7 +62,7 @@ def test_page_is_self_contained_and_shows_results_warnings_and_origin(page, eval
     assert any(address.startswith("#") for address in found.addresses)
     assert len(page.encode()) < 6_000_000
     text = "".join(found.text)
-    assert "(1.9720 ± 0.0019) × 10−7 (V/V)/N" in text
+    assert "(1.9720 ± 0.0019) × 10⁻⁷ (V/V)/N" in text
     assert "(−0.03370 ± 0.00099) rad" in text
     assert all(notice.text in text for notice in evaluation.notices)  # one of them with < and &
     assert text.index("Warning") < text.index("Note")
@@ -109,7 +110,7 @@ def test_sources_are_columns_and_headlines_name_the_deviation_from_static(evalua
 def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
     table, load, motion = budget_tables(evaluation)
     assert table.rows[0][0] == "internal mass"
-    assert table.rows[0][2:5] == (Markup("2 × 10<sup>−3</sup> kg"), "−0.13", "−0.13")
+    assert table.rows[0][2:5] == ("0.002 kg", "−0.13", "−0.13")
     # One recording has nothing to say of these two, and they are no zeros.
     *causes, repeated, mounted, _ = table.rows
     assert [row[:3] for row in (repeated, mounted)] == [
@@ -119,7 +120,7 @@ def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
         assert sum(float(row[column]) for row in causes) == pytest.approx(100.0, abs=0.4)
     by_name = {row[0]: row for row in table.rows}
     assert by_name["scatter of the sine approximation"][1:5] == ("A, 204", "–", "–", "–")
-    assert by_name["delay of the exposure"][2:5] == (Markup("1 × 10<sup>−7</sup> s"), "≈ 0", "−670")
+    assert by_name["delay of the exposure"][2:5] == ("1 × 10⁻⁷ s", "≈ 0", "−670")
     assert "load Fz" in load.caption
     assert "acceleration z of the load" in motion.caption
 
@@ -134,13 +135,13 @@ def test_share_of_other_loads(evaluation):
 
 
 def test_numbers_as_html():
-    assert short(9.97e-5) == Markup("1 × 10<sup>−4</sup>")
-    assert short(-502.0) == Markup("−500")
+    assert number_text(9.97e-5, 2) == "1 × 10⁻⁴"
+    assert number_text(-502.0, 2) == Markup("−500")
     assert (degrees_of_freedom(999.6), degrees_of_freedom(1e5), degrees_of_freedom(np.inf)) == ("1000", "> 1000", "∞")
-    assert quantity_html(1.9719871e-7, 2.04e-10, "(V/V)/N") == Markup("(1.9720 ± 0.0020) × 10<sup>−7</sup> (V/V)/N")
-    assert quantity_html(1.0, 0.5) == Markup("1.00 ± 0.50")
-    assert quantity_html(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
-    assert scaled_html(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
+    assert quantity_text(1.9719871e-7, 2.04e-10, "(V/V)/N") == "(1.9720 ± 0.0020) × 10⁻⁷ (V/V)/N"
+    assert quantity_text(1.0, 0.5) == Markup("1.00 ± 0.50")
+    assert quantity_text(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
+    assert scaled_text(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
     assert times_ten(0, "N.m") == Markup("N·m")
 
 

@@ -17,8 +17,9 @@ from matplotlib.ticker import MaxNLocator
 
 from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
 from fusion.report.figure_files import PNG_DPI, render_figure
-from fusion.report.static_figure import decade_ticks, limits, number_texts, round_ticks, static_svg
+from fusion.report.static_figure import decade_ticks, limits, round_ticks, static_svg
 from fusion.report.svg_marks import shade
+from shakercal._common.digits import tick_texts
 
 SVG = "{http://www.w3.org/2000/svg}"
 NUMBER = re.compile(r"-?(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?")
@@ -203,13 +204,14 @@ def test_ticks_are_round_and_as_many_as_have_room(low, high):
         step = np.diff(ticks)[0]
         assert 2 <= len(ticks) <= 7
         assert step <= 2.6 * np.diff(locator)[0]
-        assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in number_texts(ticks)] == pytest.approx(
+        assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in tick_texts(ticks)] == pytest.approx(
             ticks.tolist(), abs=1e-3 * step
         )
 
 
 def test_ticks_of_a_logarithm_are_powers_or_few_round_numbers():
-    assert decade_ticks(0.5, 2e3)[1] == ["10⁰", "10¹", "10²", "10³"]
+    assert decade_ticks(0.5, 2e3)[1] == ["1", "10", "100", "1000"]
+    assert decade_ticks(0.5, 2e6)[1] == ["10⁰", "10¹", "10²", "10³", "10⁴", "10⁵", "10⁶"]
     assert decade_ticks(1e-12, 1e12)[0][1] / decade_ticks(1e-12, 1e12)[0][0] == pytest.approx(1e4)
     assert decade_ticks(0.15, 7.0)[1] == ["0.2", "0.5", "1", "2", "5"]
 

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from fusion.base import RoundedValue, prefix, round_to_uncertainty
+from fusion.base import prefix
 from fusion.estimation.coverage import UNIFORM_PHASE_U, coverage_factor, polar, region, region_factor, region_matrix
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, element_covariance, polar_elements
 from fusion.report.h5 import Group, read_uncertainty, write_tree, write_uncertainty
 from fusion.sensitivity.load_phasors import budget
-from shaker.labels import typeset
+from shakercal._common.digits import RoundedValue, round_to_uncertainty, typeset
 
 COVARIANCE = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
 finite = st.floats(-1e3, 1e3)

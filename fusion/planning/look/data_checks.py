@@ -37,6 +37,7 @@ from fusion.planning.look.look_notices import (
     SIGNAL_DRIFT,
     SPECKLE_SIZE,
 )
+from fusion.planning.look.problem_pictures import mark_image, mark_signal
 from fusion.recording.daq_records import DaqRecord
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq
@@ -59,6 +60,7 @@ from shaker.lines.detection import Survey, survey_lines
 from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
 from shaker.timebase.trigger import TriggerFit
 from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 LOOKED_AT = 1 << 16  # samples in which lines are searched for
@@ -93,10 +95,12 @@ def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Findin
             constant = Notice(LOOK_CONSTANT_CHANNEL, where, value=float(channel.samples[0]), unit=channel.unit)
             found.append(Finding("REPEAT", constant))
         elif entry.quantity != "trigger":
-            texts = [defect.text(record.time_s(entry.name), channel.unit) for defect in record.defects(entry)]
-            found += [Finding("REPEAT", Notice(SIGNAL_DEFECT, where, defect=text)) for text in texts]
+            defects = record.defects(entry)
+            for defect in defects:
+                text = defect.text(record.time_s(entry.name), channel.unit)
+                found.append(Finding("REPEAT", Notice(SIGNAL_DEFECT, where, defect=text), mark_signal(channel, defect)))
             # Only the evaluation finds lines at stamped times, and in a record with gaps.
-            if channel.stamp_s is None and not texts and np.isfinite(channel.samples).all():
+            if channel.stamp_s is None and not defects and np.isfinite(channel.samples).all():
                 groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
     for (rate_hz, samples), entries in groups.items():
         if samples < FEWEST:
@@ -174,7 +178,7 @@ def _drift_and_steps(where: str, channel: RawChannel, amplitude: float, *, drive
     drift = abs(float(np.mean(channel.samples[-tenth:]) - np.mean(channel.samples[:tenth])))
     if drift > DRIFTS * amplitude:
         sizes = {"drift": drift, "share_percent": 100 * drift / amplitude}
-        yield Finding("CHECK", Notice(SIGNAL_DRIFT, where, unit=channel.unit, **sizes))
+        yield Finding("CHECK", Notice(SIGNAL_DRIFT, where, unit=channel.unit, **sizes), mark_signal(channel))
     step = converter_step(channel.samples) if driven else 0.0
     if step > 0.0 and amplitude < FEWEST_STEPS * step:
         coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step)
@@ -227,9 +231,11 @@ def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, f
     bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
     if bins < CLOSE_BINS:
         clear = nearest_clear_rate(lines, rate_hz, frames)
-        advice = f", such as {clear:.6g} frames/s" if clear is not None else ""
+        advice = f", such as {number_text(clear, 6)} frames/s" if clear is not None else ""
         aliases = zip(lines, alias_frequency(lines, rate_hz), strict=True)
-        driven = "driven lines (" + ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in aliases) + ")"
+        driven = (
+            "driven lines (" + ", ".join(f"{number_text(f, 6)} Hz at {number_text(a)} Hz" for f, a in aliases) + ")"
+        )
         notice = Notice(ALIASED_LINES, where, lines=driven, advice=advice, rate_hz=rate_hz, distance_bins=bins)
         yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", notice)
     elif 0 < len(lines) <= 5:
@@ -284,15 +290,21 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     found = [Finding("CHECK", notice.at(where)) for notice in images.notices if notice.severity == "warning"]
     blank = missing_pattern_reason(first, images.full_scale)
     if blank:
-        return [*found, Finding("REPEAT", Notice(NO_SPECKLE, where, reason=blank))], None
+        return [
+            *found,
+            Finding("REPEAT", Notice(NO_SPECKLE, where, reason=blank), mark_image(first, "first frame")),
+        ], None
     found += _brightness(where, first, others, images.full_scale)
     area = textured_area(first)
     if any(finding.verdict == "REPEAT" and finding.code in DARK_CODES for finding in found):
         return found, None
     inside = first[area]
     if area.mean() < SMALL_AREA or len(inside) < 1000:
-        reason = f"only {np.count_nonzero(area)} pixels, {100 * area.mean():.2g} % of the image, have texture"
-        found.append(Finding("REPEAT", Notice(NO_SPECKLE, where, reason=reason)))
+        reason = (
+            f"only {np.count_nonzero(area)} pixels, {number_text(100 * area.mean(), 2)} % of the image, have texture"
+        )
+        picture = mark_image(first, "first frame, outlined: texture", area)
+        found.append(Finding("REPEAT", Notice(NO_SPECKLE, where, reason=reason), picture))
         return found, None
     clipped = clip_level(first)
     limit = images.full_scale if clipped is None else clipped
@@ -300,13 +312,16 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     if full > SATURATED:
         verdict: Verdict = "REPEAT" if full > MUCH_SATURATED else "CHECK"
         levels = {"level": limit, "full_scale": images.full_scale}
-        found.append(Finding(verdict, Notice(OVEREXPOSED, where, share_percent=100 * full, **levels)))
+        picture = mark_image(first, "first frame, red: saturated pixels", area & (first >= limit), filled=True)
+        found.append(Finding(verdict, Notice(OVEREXPOSED, where, share_percent=100 * full, **levels), picture))
     if float(inside.std()) < MIN_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale
-        found.append(Finding("CHECK", Notice(LOW_CONTRAST, where, share_percent=share)))
+        picture = mark_image(first, "first frame as recorded, outlined: low contrast", area, full=images.full_scale)
+        found.append(Finding("CHECK", Notice(LOW_CONTRAST, where, share_percent=share), picture))
     speckle = speckle_size(first, area)
     if not FINE_PX <= speckle <= COARSE_PX:
-        found.append(Finding("CHECK", Notice(SPECKLE_SIZE, where, size_px=speckle)))
+        picture = mark_image(first, "first frame, outlined: this speckle", area)
+        found.append(Finding("CHECK", Notice(SPECKLE_SIZE, where, size_px=speckle), picture))
     radius = radius_from_speckle_px(speckle)
     points = place_subsets(area, radius, 2 * radius + 1)
     return found, CameraExamination(first, area, speckle, points, radius, _sigma_px(first, area, radius))
@@ -316,13 +331,15 @@ def _brightness(where: str, first: GreyImage, others: dict[int, GreyImage], full
     """Yield dark frames."""
     if float(first.max()) < DARK * full_scale:
         verdict: Verdict = "REPEAT" if first.max() < LEVELS else "CHECK"
-        yield Finding(verdict, Notice(DARK_IMAGES, where, brightest=int(first.max()), full_scale=full_scale))
+        picture = mark_image(first, "first frame as recorded", full=full_scale)
+        yield Finding(verdict, Notice(DARK_IMAGES, where, brightest=int(first.max()), full_scale=full_scale), picture)
         return
     level = float(np.mean(first[::EVERY, ::EVERY]))
     black = [i for i, image in others.items() if float(np.mean(image)) < BLACK * level]
     if black:
         counts = {"dark": len(black), "examined": len(others) + 1, "example": black[0]}
-        yield Finding("REPEAT", Notice(DARK_FRAMES, where, **counts))
+        picture = mark_image(others[black[0]], f"frame {black[0]} as recorded", full=full_scale)
+        yield Finding("REPEAT", Notice(DARK_FRAMES, where, **counts), picture)
 
 
 def _noise_grey(image: GreyImage) -> float:
@@ -389,10 +406,13 @@ def examine_pair(
     if max(left.speckle_px, right.speckle_px) > MAX_SPECKLE_RATIO * min(left.speckle_px, right.speckle_px):
         side = "left" if left.speckle_px > right.speckle_px else "right"
         sizes = {"left_px": left.speckle_px, "right_px": right.speckle_px}
-        found.append(Finding("CHECK", Notice(CAMERA_OUT_OF_FOCUS, where, side=side, **sizes)))
+        blurred = left if side == "left" else right
+        picture = mark_image(blurred.image, f"first frame of the {side} camera, outlined: coarse speckle", blurred.area)
+        found.append(Finding("CHECK", Notice(CAMERA_OUT_OF_FOCUS, where, side=side, **sizes), picture))
     period = repeat_distance_px(left.image, left.points_px, left.radius_px)
     if np.isfinite(period):
-        found.append(Finding("CHECK", Notice(REPEATING_PATTERN, where, period_px=period)))
+        picture = mark_image(left.image, "first frame of the left camera, outlined: repeating foil", left.area)
+        found.append(Finding("CHECK", Notice(REPEATING_PATTERN, where, period_px=period), picture))
     matches = _matches(left.image, right.image)
     if len(matches[0]) < FEWEST_MATCHES:
         found.append(Finding("CHECK", Notice(FEW_COMMON_FEATURES, where, count=len(matches[0]))))

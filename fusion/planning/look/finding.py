@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from fusion.errors import ComputeError, InputError
 from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.planning.look.look_notices import FILE_PROBLEM
+from fusion.planning.look.problem_pictures import ProblemPicture
 from fusion.recording.recording_notices import RESPONSE_RANGE_TOO_SMALL
 from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from shakercal._common.notices import Notice
@@ -33,10 +34,11 @@ STATED_KEYS = re.compile(r"; (?:give|state|correct) \w+|\(bit depth \d+\)")
 
 @dataclass(frozen=True)
 class Finding:
-    """A notice about a recording, with the `verdict` that follows from it."""
+    """A notice about a recording with its `verdict`, and a picture of the problem."""
 
     verdict: Verdict
     notice: Notice
+    picture: ProblemPicture | None = field(default=None, compare=False)
 
     @property
     def code(self) -> str:
@@ -60,7 +62,7 @@ class Finding:
 
     def at(self, where: str) -> Finding:
         """Return the same finding about another channel, camera or key."""
-        return Finding(self.verdict, self.notice.at(where))
+        return replace(self, notice=self.notice.at(where))
 
 
 def refusal_findings(error: Exception, where: str = "") -> list[Finding]:

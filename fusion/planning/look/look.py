@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event, Lock, Thread
 from typing import Any
 
 import numpy as np
@@ -58,6 +60,7 @@ from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
 from photogram.images.sensor_pattern import stated_pattern
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
@@ -68,7 +71,8 @@ VERDICT_TEXTS: dict[Verdict, str] = {
     "REPEAT": "record again: these data cannot give a good result",
 }
 K2 = 2.0
-WATCHED_S = 2.0  # interval of the check for changed files
+WATCHED_S = 2.0  # interval of the check for changed files, and of the writing of the page
+MISSED = 5  # intervals without a new page, after which the page says that the process has ended
 THREADS = 2  # for images, in addition to the one for channels
 
 
@@ -350,21 +354,26 @@ def print_look(found: Look) -> None:
         label = "note" if finding.verdict == "KEEP" else finding.verdict
         print_text(f"  {label}: {location} {finding.text}")
     for item in found.expected:
-        shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
+        shares = ", ".join(f"{name} {number_text(100 * share, 2)} %" for name, share in item.shares)
         text = (
-            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
+            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:.6g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
         print_text(f"  {text}")
 
 
-def look_page(found: list[Look], reload_s: float | None) -> str:
-    """Return a page whose colour can be read from two metres.
+def look_page(
+    found: Sequence[Look], reload_s: float | None, looked_s: float | None = None, *, busy: bool = False
+) -> str:
+    """Return a page whose colour and word can be read from two metres.
 
-    `reload_s`: interval of its reloading; None without.
+    `reload_s`: interval of its writing and reloading, None without. The page turns grey when it is older than some of
+    these. `looked_s`: time of the look, by default now. `busy`: changed files are being examined.
     """
     from fusion.report.folder import render_page
 
     verdict = worst_verdict([finding for one in found for finding in one.findings])
+    written_s = time.time()
+    looked_s = written_s if looked_s is None else looked_s
     values: dict[str, Any] = {
         "looks": found,
         "verdict": verdict,
@@ -372,27 +381,88 @@ def look_page(found: list[Look], reload_s: float | None) -> str:
         "colours": COLOURS,
         "said": VERDICT_TEXTS,
     }
-    values["reload_s"] = reload_s
+    values |= {"reload_s": reload_s, "busy": busy, "written_ms": round(1e3 * written_s)}
+    values |= {"limit_ms": round(1e3 * MISSED * (reload_s or 0.0)), "looked_at": _clock(looked_s)}
+    values["written_at"] = _clock(written_s)
     return render_page("look.html", values)
+
+
+def _clock(time_s: float) -> str:
+    """Return the local time of day, such as 13:05:07."""
+    return time.strftime("%H:%M:%S", time.localtime(time_s))
+
+
+class WatchedPage:
+    """The page of a watched folder, written again at every interval while the process runs.
+
+    A page that is no longer renewed shows that the process has ended.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._found: tuple[Look, ...] = ()
+        self._looked_s = time.time()
+        self._busy = True
+        self._ended, self._lock = Event(), Lock()
+        self._thread = Thread(target=self._renew, daemon=True)
+
+    def __enter__(self) -> WatchedPage:
+        self._write()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def begin(self) -> None:
+        """Show that changed files are being examined."""
+        with self._lock:
+            self._busy, self._looked_s = True, time.time()
+        self._write()
+
+    def show(self, found: Sequence[Look]) -> None:
+        """Show the looks that are complete."""
+        with self._lock:
+            self._busy, self._found, self._looked_s = False, tuple(found), time.time()
+        self._write()
+
+    def _write(self) -> None:
+        with self._lock:
+            write_atomically(self.path, look_page(self._found, WATCHED_S, self._looked_s, busy=self._busy))
+
+    def _renew(self) -> None:
+        while not self._ended.wait(WATCHED_S):
+            with suppress(OSError):  # a full or absent disk: the page turns grey until it is back
+                self._write()
 
 
 def run_look(path: Path, aim: float | None, page: Path | None, *, watch: bool, allow_outside: bool) -> Level:
     """Print and write the look at a recording or campaign; with `watch` after every change."""
-    before: object = None
-    while True:
-        recordings = find_recordings(path)
-        state = _state(recordings)
-        if state != before:
-            found = []
-            for recording in recordings:
-                found.append(_one(recording, aim, watch=watch, allow_outside=allow_outside))
-                print_look(found[-1])
-            if page is not None:
-                write_atomically(page, look_page(found, WATCHED_S if watch else None))
-        if not watch:
-            return LEVEL_OF[worst_verdict([finding for item in found for finding in item.findings])]
-        before = state
-        time.sleep(WATCHED_S)
+    if not watch:
+        found = []
+        for recording in find_recordings(path):
+            found.append(_one(recording, aim, watch=False, allow_outside=allow_outside))
+            print_look(found[-1])
+        if page is not None:
+            write_atomically(page, look_page(found, None))
+        return LEVEL_OF[worst_verdict([finding for item in found for finding in item.findings])]
+    with nullcontext() if page is None else WatchedPage(page) as shown:
+        before: object = None
+        while True:
+            recordings = find_recordings(path)
+            state = _state(recordings)
+            if state != before:
+                found = []
+                if shown is not None:
+                    shown.begin()
+                for recording in recordings:
+                    found.append(_one(recording, aim, watch=True, allow_outside=allow_outside))
+                    print_look(found[-1])
+                if shown is not None:
+                    shown.show(found)
+            before = state
+            time.sleep(WATCHED_S)
 
 
 def _one(recording: Path, aim: float | None, *, watch: bool, allow_outside: bool) -> Look:

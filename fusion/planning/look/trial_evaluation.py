@@ -45,6 +45,7 @@ from photogram.geometry import skew, vector_from_rotation
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.digits import number_text
 from shakercal._common.notices import Notice
 
 EXPLAINS = 0.01
@@ -81,9 +82,14 @@ def find_contradictions(
 def _reading(test: Consistency) -> str:
     """Return the ratio of readings to the prediction of the others, in words."""
     if not np.isfinite(test.ratio):
-        return f"{test.instrument} contradicts the others by {test.normalised_deviation:.3g} standard uncertainties"
-    rotation = f", with a phase of {np.angle(test.ratio):.3g} rad" if abs(np.angle(test.ratio)) > AGREEMENT else ""
-    return f"{test.instrument} reads {abs(test.ratio):.4g} times the prediction of the others{rotation}"
+        return (
+            f"{test.instrument} contradicts the others by {number_text(test.normalised_deviation)} "
+            f"standard uncertainties"
+        )
+    rotation = (
+        f", with a phase of {number_text(np.angle(test.ratio))} rad" if abs(np.angle(test.ratio)) > AGREEMENT else ""
+    )
+    return f"{test.instrument} reads {number_text(abs(test.ratio), 4)} times the prediction of the others{rotation}"
 
 
 def _causes(
@@ -145,7 +151,7 @@ def _of_channels(one: Observation, channels: IntArray, value: ComplexArray, name
         row = geometry.transducer.rows(along, frequency_hz, geometry.gravity_mps2)[0]
         stated = abs(float(np.asarray(main_direction(entry)) @ direction)) > STATED
         if not stated and abs(row @ value[line] - reading[0]) < AGREEMENT * abs(reading[0]):
-            yield f"the direction of {name} were ({', '.join(f'{x:g}' for x in direction)})"
+            yield f"the direction of {name} were ({', '.join(f'{number_text(x, 6)}' for x in direction)})"
 
 
 def _of_member(system: FusionSystem, name: str) -> BoolArray:
@@ -192,7 +198,7 @@ def _poses(reading: StereoReading) -> Iterator[tuple[str, ComplexArray]]:
         if np.linalg.det(turn) > 0.0 and np.trace(turn) < 3.0:
             vector = vector_from_rotation(turn)
             angle = float(np.linalg.norm(vector))
-            axis = ", ".join(f"{x:.2g}" for x in vector / angle)
+            axis = ", ".join(number_text(x, 2) for x in vector / angle)
             text = f"{key} were turned by {np.degrees(angle):.0f}° about ({axis}) of the sensor's axes"
             yield text, _moved(reading, turn @ rotation, turn @ translation)
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from fusion.base import PROGRAM, __version__, round_to_uncertainty, versions
+from fusion.base import PROGRAM, __version__, versions
 from fusion.errors import InputError
 from fusion.planning.planning_notices import VALIDATION_OUTPUT
 from fusion.report.atomic_files import write_files, write_together
@@ -26,6 +26,7 @@ from fusion.report.folder import render_page
 from fusion.report.table import TableColumn, page_column, table
 from fusion.report.terminal import print_table, print_text
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import number_text, round_to_uncertainty
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -178,7 +179,9 @@ def certificate(inputs: Inputs) -> dict[str, float]:
             f"region factor of {dof:g}": float(region_factor(dof)),
         }
     stated = polar(complex(*inputs["value"]), np.array(inputs["covariance"]))
-    texts = sum(round_to_uncertainty(value, expanded).text == text for value, expanded, text in inputs["rounding"])
+    texts = sum(
+        f"({round_to_uncertainty(value, expanded).scaled})" == text for value, expanded, text in inputs["rounding"]
+    )
     return found | {
         "magnitude": stated.magnitude,
         "phase": stated.phase_rad,
@@ -395,7 +398,7 @@ def _recorded(root: Path) -> Iterator[tuple[str, str]]:
 COLUMNS: list[TableColumn[CaseResult]] = [
     page_column("case", lambda case: case.what, "l"),
     page_column("quantities", lambda case: str(len(case.quantities))),
-    page_column("largest deviation / tolerance", lambda case: "–" if case.failure else f"{case.worst:.2g}"),
+    page_column("largest deviation / tolerance", lambda case: "–" if case.failure else number_text(case.worst, 2)),
     page_column("reference by", lambda case: case.source, "l"),
     page_column("result", lambda case: "passed" if case.passed else case.failure or "FAILED", "l"),
 ]
@@ -404,8 +407,8 @@ QUANTITIES: list[TableColumn[QuantityComparison]] = [
     page_column("quantity", lambda found: found.quantity, "l"),
     page_column("found", lambda found: f"{found.found:.12g}"),
     page_column("reference", lambda found: f"{found.expected:.12g}"),
-    page_column("deviation", lambda found: f"{found.deviation:.2g}"),
-    page_column("tolerance", lambda found: f"{found.tolerance:.2g}"),
+    page_column("deviation", lambda found: number_text(found.deviation, 2)),
+    page_column("tolerance", lambda found: number_text(found.tolerance, 2)),
     page_column("unit", lambda found: found.unit, "l"),
     page_column("result", lambda found: "passed" if found.passed else "FAILED", "l"),
 ]

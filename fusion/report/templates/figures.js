@@ -21,13 +21,44 @@
       ?? colour;
   }
 
-  /* Value and U to the second digit of U, else to six digits. */
-  function told(value, half) {
+  /* Numbers by the rule of shakercal/_common/digits.py; a test compares both. */
+  const [SMALLEST_PLAIN, LARGEST_PLAIN] = [1e-3, 1e6], RAISED = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹";
+  const power = (size) => (size === 0 || !Number.isFinite(size) || (SMALLEST_PLAIN <= size && size < LARGEST_PLAIN) ? 0 : Math.floor(Math.log10(size)));
+  const raised = (exponent) => "10" + String(exponent).replace(/[-\d]/g, (sign) => RAISED["-0123456789".indexOf(sign)]);
+  const signed = (text) => (/^-[0.]*$/.test(text) ? text.slice(1) : text.replace("-", "−"));
+
+  /* Value and U to the second digit of U, else to some digits. */
+  function told(value, half, digits = 6) {
     if (!Number.isFinite(value)) return "–";
-    if (!Number.isFinite(half) || half <= 0) return String(Number(value.toPrecision(6)));
-    const places = Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(half))));
-    return Math.abs(value) >= 1e7 || places > 8 ? `${value.toPrecision(6)} ± ${half.toPrecision(2)}`
-      : `${value.toFixed(places)} ± ${half.toFixed(places)}`;
+    const known = Number.isFinite(half) && half > 0, exponent = power(Math.max(Math.abs(value), known ? half : 0));
+    const [scaled, u] = [value, half].map((one) => one / 10 ** exponent), tens = exponent ? ` × ${raised(exponent)}` : "";
+    if (!known) return signed(String(Number(scaled.toPrecision(digits)))) + tens;
+    const places = 1 - Number(u.toExponential(1).split("e")[1]), round = (one) => Math.round(one * 10 ** places) / 10 ** places;
+    const body = `${signed(round(scaled).toFixed(Math.max(0, Math.min(places, 20))))} ± ${round(u).toFixed(Math.max(0, Math.min(places, 20)))}`;
+    return exponent ? `(${body})${tens}` : body;
+  }
+
+  /* Ticks with the decimals that distinguish them, over a power of ten; very large or small decades as powers of ten. */
+  function ticked(exponent, log = false) {
+    const made = new Bokeh.BasicTickFormatter();
+    made.doFormat = (ticks) => {
+      const values = Array.from(ticks, (tick) => tick / 10 ** exponent), sorted = values.toSorted((a, b) => a - b);
+      if (log) {
+        const decades = values.every((v) => v > 0 && Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9) && values.some((v) => power(v));
+        return values.map((v) => (decades ? raised(Math.round(Math.log10(v))) : told(v, NaN, 3)));
+      }
+      const step = Math.min(...sorted.slice(1).map((v, k) => v - sorted[k]), ...(sorted.length > 1 ? [] : [Math.abs(sorted[0] ?? 1)]));
+      let places = 0;
+      while (places < 12 && sorted.some((v) => Math.abs(Number(v.toFixed(places)) - v) > 1e-3 * step)) places += 1;
+      return values.map((v) => signed(v.toFixed(places)));
+    };
+    return made;
+  }
+
+  /* The power of ten that is taken off the numbers of a linear axis. */
+  function off(range) {
+    const exponent = power(Math.max(Math.abs(range.start), Math.abs(range.end)));
+    return Math.abs(exponent) > 1 ? exponent : 0;
   }
 
   /* All values of x or y that the marks of panels on one axis have, with their bars. */
@@ -76,7 +107,7 @@
     plot.title.text_font_size = "12px";
     plot.title.text_font_style = "normal";
     [[plot.below[0], panel.x, size.labels_x], [plot.left[0], panel.y, size.labels_y]].forEach(
-      ([axis, said, labelled], k) => dress(axis, said, labelled && !panel.blank, k ? size.height / 30 : size.width / 75, k ? 0 : size.width - size.left));
+      ([axis, said, labelled], k) => dress(axis, said, labelled && !panel.blank, ranges[k], k ? size.height / 30 : size.width / 75, k ? 0 : size.width - size.left));
     plot.center.filter((part) => part instanceof B.Grid).forEach((grid, k) => {
       grid.grid_line_color = (k === 0 ? panel.x : panel.y).grid === false || panel.blank ? null : css("--grid");
     });
@@ -86,10 +117,11 @@
     return plot;
   }
 
-  function dress(axis, said, labelled, room, across = 0) {
-    const colour = css("--ink");
+  function dress(axis, said, labelled, range, room, across = 0) {
+    const colour = css("--ink"), exponent = said.log || said.names?.length ? 0 : off(range);
     Object.assign(axis, {
-      axis_label: labelled ? said.label ?? "" : "", axis_label_text_color: colour, major_label_text_color: labelled ? colour : null,
+      axis_label: labelled ? [said.label, exponent ? `× ${raised(exponent)}` : ""].filter(Boolean).join("   ") : "",
+      formatter: ticked(exponent, said.log), axis_label_text_color: colour, major_label_text_color: labelled ? colour : null,
       axis_line_color: colour, major_tick_line_color: colour, minor_tick_line_color: null, axis_label_text_font_style: "normal",
       axis_label_text_font_size: "12px", major_label_text_font_size: "11px", major_tick_in: 0,
     });
@@ -110,7 +142,7 @@
     range.properties.end.change.connect(follow);
     plot.extra_y_ranges = { second: other };
     const scale = new Bokeh.LinearAxis({ y_range_name: "second" });
-    dress(scale, { label }, true, 5);
+    dress(scale, { label }, true, other, 5);
     plot.add_layout(scale, "right");
   }
 
@@ -245,7 +277,7 @@
   function bar(plot, color_mapper, scale) {
     const colour = css("--ink");
     plot.add_layout(new Bokeh.ColorBar({ color_mapper, title: scale.label, height: 8, margin: 0, padding: 4, bar_line_color: null,
-      background_fill_color: null, major_label_text_color: colour, title_text_color: colour, title_text_font_style: "normal",
+      background_fill_color: null, major_label_text_color: colour, title_text_color: colour, formatter: ticked(0, scale.log), title_text_font_style: "normal",
       title_text_font_size: "11px", major_label_text_font_size: "10px", major_tick_line_color: colour }), "below");
   }
 

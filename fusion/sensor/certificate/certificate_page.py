@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, PROGRAM, round_to_uncertainty
+from fusion.base import PROGRAM
 from fusion.campaign.campaign_figures import draw_curve
 from fusion.report.figure import COLOURS, Figure, empty_figure
 from fusion.report.folder import render_page
@@ -21,12 +21,7 @@ from fusion.report.table import (
     half_axes,
     magnitude_phase_text,
     page_column,
-    quantity_html,
-    scaled_html,
-    short,
-    small,
     table,
-    times_ten,
 )
 from fusion.sensitivity.load_phasors import BudgetEntry
 from fusion.sensor.certificate.certificate_content import (
@@ -41,8 +36,18 @@ from fusion.sensor.certificate.certificate_content import (
 )
 from fusion.sensor.certificate.certificate_form import CertifiedEquipment, Party
 from fusion.sensor.certificate.certificate_inputs import CertifiedNumber, NumberList
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, sensitivity_unit, typeset
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, sensitivity_unit
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import (
+    DASH,
+    number_text,
+    quantity_text,
+    round_to_uncertainty,
+    scaled_text,
+    small,
+    times_ten,
+    typeset,
+)
 from shakercal._common.notices import Notice
 
 MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
@@ -101,7 +106,8 @@ def _condition(name: str, unit: str, low: float, high: float) -> str:
     """Return a condition as text."""
     text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
     name = name[:1].lower() + name[1:]
-    return f"{name} {low:g} {text}" if low == high else f"{name} {low:g} {text} to {high:g} {text}"
+    ends = dict.fromkeys(f"{number_text(end, 6)} {text}" for end in (low, high))
+    return f"{name} {' to '.join(ends)}"
 
 
 def _equipment_table(found: Certificate) -> Table | None:
@@ -135,9 +141,9 @@ def _dates(one: CertifiedEquipment | UnderlyingCertificate) -> str:
 def _loads_table(loads: Sequence[CertifiedLoad]) -> Table | None:
     """Return the masses above the sensor."""
     columns: list[TableColumn[CertifiedLoad]] = [
-        page_column("load mass ± U (k = 2) / kg", lambda one: scaled_html(one.mass_kg, one.expanded_kg, 0)),
-        page_column("further parts / kg", lambda one: f"{one.parts_kg:.6g}" if one.parts_kg else DASH),
-        page_column("internal mass of the item / kg", lambda one: f"{one.internal_kg:.6g}"),
+        page_column("load mass ± U (k = 2) / kg", lambda one: scaled_text(one.mass_kg, one.expanded_kg, 0)),
+        page_column("further parts / kg", lambda one: number_text(one.parts_kg, 6) if one.parts_kg else DASH),
+        page_column("internal mass of the item / kg", lambda one: number_text(one.internal_kg, 6)),
         page_column("recordings", lambda one: _recordings(one.recordings), "l"),
     ]
     return table("Masses above the elastic element of the item", columns, loads)
@@ -225,8 +231,8 @@ def _magnitude_and_phase(value: CertifiedValue, exponent: int) -> tuple[str, str
     """Return magnitude and phase with U; without a phase complex value and region."""
     polar = value.element
     if value.has_phase:
-        size = scaled_html(polar.magnitude, value.expanded_magnitude, exponent)
-        return size, scaled_html(polar.phase_rad, value.expanded_phase_rad, 0)
+        size = scaled_text(polar.magnitude, value.expanded_magnitude, exponent)
+        return size, scaled_text(polar.phase_rad, value.expanded_phase_rad, 0)
     re = round_to_uncertainty(polar.re, polar.region_re, exponent).value
     im = round_to_uncertainty(polar.im, polar.region_im, exponent).value
     sign, part = ("\N{MINUS SIGN}", im[1:]) if im.startswith("\N{MINUS SIGN}") else ("+", im)
@@ -293,14 +299,14 @@ def _value(row: Row) -> CertifiedValue:
 
 def _amplitude(row: Row) -> str:
     """Return the amplitude of the load with its unit, smallest and largest if they differ."""
-    low, high = (f"{size:.3g}" for size in _value(row).amplitude)
+    low, high = map(number_text, _value(row).amplitude)
     unit = typeset(LOAD_UNITS[LOAD_COMPONENTS.index(row[0].component)])
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 
 def _deviation(row: Row) -> str:
     size, expanded, _ = row[0].deviation[row[1]]
-    return scaled_html(100.0 * size, 100.0 * expanded, 0)
+    return scaled_text(100.0 * size, 100.0 * expanded, 0)
 
 
 def _verdict(row: Row) -> str:
@@ -347,7 +353,7 @@ def _numbers_table(number_list: NumberList) -> Table | None:
     """Return one list of single numbers."""
     columns: list[TableColumn[CertifiedNumber]] = [
         page_column("quantity", lambda figure: figure.name, "l"),
-        page_column("value ± U", lambda f: quantity_html(f.value, f.expanded, "" if f.unit == "1" else f.unit)),
+        page_column("value ± U", lambda f: quantity_text(f.value, f.expanded, "" if f.unit == "1" else f.unit)),
         page_column("k", lambda figure: factor_text(figure.k)),
     ]
     return table(number_list.name, columns, number_list.numbers)
@@ -429,9 +435,9 @@ def _budget_row(entry: BudgetEntry, share: FloatArray) -> tuple[str, ...]:
     """Return a contribution with its input and sensitivity coefficients."""
     u, slopes = DASH, [DASH, DASH]
     if np.isfinite(entry.u):
-        u = Markup("{} {}").format(short(entry.u), "" if entry.unit == "1" else typeset(entry.unit)).strip()
+        u = Markup("{} {}").format(number_text(entry.u, 2), "" if entry.unit == "1" else typeset(entry.unit)).strip()
         slopes = [
-            short(float(part[0, 0])) if of_variance >= SMALLEST_SLOPE else "≈ 0"
+            number_text(float(part[0, 0]), 2) if of_variance >= SMALLEST_SLOPE else "≈ 0"
             for part, of_variance in zip(entry.coefficient, share, strict=True)
         ]
     label = f"{entry.label} ({entry.count} times)" if entry.count > 1 else entry.label

@@ -12,6 +12,7 @@ from fusion.sensor.certificate.certificate_form import FORM_FILE, METHOD, NEW_FO
 from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS, find_command, find_results_folder
 from fusion.sensor.certificate.certificate_page import certificate_page
 from fusion.sensor.certificate.certificate_xml import PAGE_FILE, certificate_xml
+from shakercal._common.digits import number_text
 
 XML_FILE = "certificate.xml"
 
@@ -39,7 +40,8 @@ def run_certificate(
     for element in found.elements:
         first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
         count = len(element.values)
-        where = f"{count} frequencies, {first:.6g} to {last:.6g} Hz" if count > 1 else f"{first:.6g} Hz"
+        where = f"{number_text(first, 6)} Hz"
+        where = f"{count} frequencies, {where} to {number_text(last, 6)} Hz" if count > 1 else where
         failed = element.verdicts.count("fail")
         judged = "" if not element.verdicts else ", conforms" if not failed else f", does not conform at {failed}"
         if element.main:

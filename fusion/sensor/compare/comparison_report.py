@@ -5,31 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from datetime import date as Date
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
+from fusion.base import count_text
 from fusion.errors import InputError
-from fusion.report.figure import COLOURS, GREY, Figure, empty_figure, frequency_axis, padded_limits
+from fusion.report.figure import COLOURS, GREY, RED, Figure, empty_figure, frequency_axis, padded_limits
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.table import (
-    TableColumn,
-    csv_text,
-    finite_or_none,
-    page_column,
-    quantity_html,
-    signed_text,
-    small,
-    table,
-    text_column,
-)
+from fusion.report.table import Headline, TableColumn, csv_text, finite_or_none, page_column, table, text_column
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
-from fusion.sensor.compare.comparison_inputs import read_result, result_files
+from fusion.sensor.compare.comparison_inputs import ComparedResult, read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
+from fusion.sensor.compare.named_tables import read_tables
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
+from shakercal._common.digits import number_text, quantity_text, signed_text, small
 
 
 class ResultRow(NamedTuple):
@@ -75,6 +69,7 @@ COMPARISON: list[TableColumn[ResultRow]] = [
     text_column(
         "shared", lambda row: "; ".join(list_titles(s for s in row.of.shared if row.of.names[row.result] in s.unknowns))
     ),
+    text_column("sign_changed", lambda row: "yes" if row.of.names[row.result] in row.of.opposite_sign else "no"),
 ]
 
 
@@ -95,6 +90,10 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
                 x = np.array([f.frequency_hz for f in of_result])
                 y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
                 panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
+        panel.rule([-1.0, 1.0], "limits ±1", colour=RED, dashed=True, width=1.0)
+        normalised = [found.reference.normalised for found in of_quantity]
+        reach = float(np.nanmax(np.abs(np.concatenate([[1.0], *normalised]))))
+        panel.y.limits = (-1.15 * reach, 1.15 * reach)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
@@ -134,7 +133,7 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
         reach = []
         for index, line in enumerate([lines[n] for n in chosen]):
             factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
-            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[index % len(COLOURS)]
+            label, colour = f"{number_text(line.frequency_hz, 5)} Hz", COLOURS[index % len(COLOURS)]
             dates = line.year + 0.006 * index * span
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
@@ -172,11 +171,16 @@ def _reference_text(found: ComparedQuantity) -> str:
     reference = found.reference
     if not reference.used.any():
         return "none, results are contradictory"
-    return quantity_html(reference.value, 2.0 * reference.u, found.unit)
+    return quantity_text(reference.value, 2.0 * reference.u, found.unit)
 
 
 def _left_out(found: ComparedQuantity) -> str:
     return ", ".join(name for name, used in zip(found.names, found.reference.used, strict=True) if not used) or "none"
+
+
+def _source(result: ComparedResult) -> str:
+    repeats = "" if result.repeats == 1 else f", up to {result.repeats} repeats at a frequency averaged"
+    return f"{result.name} ({result.file}{repeats})"
 
 
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
@@ -193,7 +197,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     changes: list[TableColumn[ComparedQuantity]] = [
         *columns[:3],
-        page_column(DRIFT, lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
+        page_column(DRIFT, lambda f: quantity_text(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
     ]
     titles: dict[str, list[SharedInput]] = {}
     for item in evaluation.shared:
@@ -210,7 +214,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     dated = [found for found in evaluation.quantities if found.per_year is not None]
     return {
-        "subject": [("Results", ", ".join(f"{result.name} ({result.file})" for result in evaluation.results))],
+        "subject": [("Results", ", ".join(map(_source, evaluation.results)))],
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
         "figures": [draw_normalised(evaluation)],
         "charts": draw_charts(evaluation),
@@ -220,15 +224,33 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     }
 
 
+def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
+    """Return whether the results agree, and the largest difference over its U."""
+    found = evaluation.quantities
+    above = sum(one.largest > 1.0 for one in found)
+    worst = max(found, key=lambda one: one.largest)
+    pairs = list(combinations(range(len(worst.names)), 2))
+    first, second = max(pairs, key=lambda pair: abs(float(worst.normalised[pair])))
+    value = f"U covers all {len(found)} values" if not above else f"U does not cover {above} of {len(found)} values"
+    size = f"largest |E_n| of a pair {signed_text(worst.largest)}: {worst.names[first]} and {worst.names[second]}"
+    what = f"{worst.quantity} of {worst.channel} per {worst.component}, {worst.frequency_hz:.4f} Hz"
+    return [Headline("Results agree" if not above else "Results differ", value, f"{size}, {what}")]
+
+
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
     """Yield the printed lines."""
+    for line in verdict(evaluation):
+        yield f"{line.label}: {line.value} ({line.remark})"
     for quantity in ("magnitude", "phase"):
         of_quantity = [found for found in evaluation.quantities if found.quantity == quantity]
         if of_quantity:
             above = sum(found.largest > 1.0 for found in of_quantity)
             left = sum(not found.reference.used.all() for found in of_quantity)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
-            yield f"{quantity}: {len(of_quantity)} values compared, {counts}"
+            opposite_sign = dict.fromkeys(name for found in of_quantity for name in found.opposite_sign)
+            if opposite_sign and quantity == "phase":
+                counts += f"; sign (180°) of {', '.join(opposite_sign)} changed"
+            yield f"{quantity}: {count_text(len(of_quantity), 'value')} compared, {counts}"
     if evaluation.shared:
         yield f"shared inputs: {'; '.join(list_titles(evaluation.shared))}"
     if evaluation.unmatched:
@@ -254,6 +276,7 @@ COMPARE = CommandReport(
     _fill,
     _context,
     printed,
+    headlines=verdict,
 )
 
 
@@ -262,10 +285,14 @@ def run_compare(
     output: Path | None,
     dates: Sequence[str] = (),
     tolerance: float = 1e-3,
+    columns: Path | None = None,
     *,
     force: bool = False,
 ) -> None:
-    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary."""
+    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary.
+
+    `columns` is a file with the columns of tables of others.
+    """
     named: dict[str, Path] = {}
     for text in inputs:
         first, equals, rest = text.partition("=")
@@ -285,9 +312,12 @@ def run_compare(
         except ValueError as error:
             expected = "a day as YYYY-MM-DD"
             raise InputError(WRONG_COMPARISON_OPTION, "--date", name, found=day, expected=expected) from error
-    results = [read_result(name, path) for name, path in named.items()]
+    tables = None if columns is None else read_tables(columns, named)
+    results = [read_result(name, path, tables) for name, path in named.items()]
     days = {result.name: result.date for result in results if result.date is not None} | days
-    root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))
-    files = hash_files([file for path in named.values() for file in result_files(path)], root)
+    inputs_read = [file for path in named.values() for file in result_files(path)]
+    inputs_read += [] if columns is None else [columns]
+    root = Path(os.path.commonpath([file.resolve().parent for file in inputs_read]))
+    files = hash_files(inputs_read, root)
     folder = Path("comparison") if output is None else output
     COMPARE.run(files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes), force=force)

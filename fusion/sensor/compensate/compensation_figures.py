@@ -16,8 +16,8 @@ from fusion.sensor.compensate.compensation_subjects import (
     SubjectResult,
 )
 from shaker.compensation.effects import gain_band
-from shaker.labels import typeset
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, typeset
 
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0
@@ -68,8 +68,8 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
         panel.x.log, panel.x.link = True, "frequency"
     lower.x.label, upper.title = "frequency / Hz", title
     caption = (
-        f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed vertical lines: ±10 % limits of sensor and "
-        "compensated sensor. Red: the filter for samples behind the sensor."
+        f"Grey: ±{PERCENT * permitted_error:.6g} % of the static gain; dashed vertical lines: ±10 % limits of sensor "
+        "and compensated sensor. Red: the filter for samples behind the sensor."
     )
     return drawn.with_title(f"{title}: gain and phase before and after", caption, main=True)
 
@@ -97,7 +97,7 @@ def draw_noise(evaluation: CompensateEvaluation) -> Figure:
     for index, made in enumerate(evaluation.filters):
         hertz = frequencies(made)
         gain = np.abs(made.sections.response(hertz) / made.sections.gain)
-        text = f"{made.name} (white noise × {made.noise_factor:.3g})"
+        text = f"{made.name} (white noise × {number_text(made.noise_factor)})"
         panel.line(hertz, gain, text, colour=COLOURS[index % len(COLOURS)])
     panel.x.log = panel.y.log = True
     panel.x.label, panel.y.label, panel.x.link = "frequency / Hz", "gain of the filter", "frequency"
@@ -129,7 +129,7 @@ def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
     highest = max(float(np.nanmax(PERCENT * ringing)) for _, _, ringing in curves)
     panel.x.label, panel.y.label, panel.y.limits = axis, "ringing / % of the step", (0.0, 1.1 * highest or 1.0)
     panel.title = "sensor that differs from the design"
-    after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
+    after = f"Largest deviation from the final value from {number_text(MILLI * first.after_s)} ms after a step on."
     return drawn.with_title("Residual ringing", after)
 
 
@@ -145,7 +145,7 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
         panel.line(case.run.time_s, case.run.applied, "applied by the hand", colour=GREY, width=1.4)
         panel.line(case.run.time_s, case.run.fed_back, "fed back by the ball", colour=BLUE, width=0.9, dashed=True)
         panel.x.label, panel.y.limits = "time / s", (-0.3 * top, top)
-        panel.title = f"{case.name}, K = {check.gain:.3g}"
+        panel.title = f"{case.name}, K = {number_text(check.gain)}"
     drawn.panels[0].y.label = "force / N"
     return drawn.with_title("Applied and fed-back force", "Curves end where the loop diverges.")
 

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, GRAM, MILLI, PERCENT, round_to_uncertainty
+from fusion.base import GRAM, MILLI, PERCENT
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
@@ -27,10 +27,7 @@ from fusion.report.table import (
     columns_of,
     csv_text,
     finite_or_none,
-    number,
     page_column,
-    quantity_html,
-    signed_text,
     table,
 )
 from fusion.sensor.compensate.compensation_evaluation import (
@@ -67,6 +64,7 @@ from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
+from shakercal._common.digits import DASH, number_text, quantity_text, signed_text
 
 JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
 HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
@@ -188,8 +186,8 @@ def _table(result: SubjectResult) -> Iterator[str]:
     name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
     count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
     comment = (
-        f"{subject.name}: {subject.unit} to {first.output_unit}, {rate:.12g} Hz, to "
-        f"{target.frequency_hz:.6g} Hz, damping ratio {target.damping_ratio:.4g}"
+        f"{subject.name}: {subject.unit} to {first.output_unit}, {number_text(rate, 12)} Hz, to "
+        f"{number_text(target.frequency_hz, 6)} Hz, damping ratio {number_text(target.damping_ratio, 4)}"
     )
     yield f"/* {comment.replace('*/', '* /')} */"  # without the end of a comment
     rows = [row for made in loads for row in made.sections.sos.tolist()]
@@ -277,8 +275,8 @@ def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
         Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
         for name, text in labels.items()
     ]
-    remark = f"white noise at {made.sections.sample_rate_hz:g} Hz; {made.name}"
-    return [*lines, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
+    remark = f"white noise at {number_text(made.sections.sample_rate_hz, 6)} Hz; {made.name}"
+    return [*lines, Headline("Noise", f"× {number_text(made.noise_factor)}", remark)]
 
 
 def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
@@ -288,9 +286,7 @@ def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
         return "no end" if value is not None else "none" if plain else DASH
     scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
     expanded = 0.0 if u is None else scale * u
-    if plain:
-        return f"{round_to_uncertainty(scale * value, expanded).text} {unit}".strip()
-    return f"{scale * value:.5g} {unit}".strip() if u is None else quantity_html(scale * value, expanded, unit)
+    return quantity_text(scale * value, expanded, unit)
 
 
 def index_table(made: LoadFilter) -> Table | None:
@@ -309,21 +305,25 @@ def _poles(made: LoadFilter) -> Markup:
     sensor = made.compensation.sensor
     modes_with_u = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
     modes = [
-        quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in modes_with_u
+        quantity_text(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in modes_with_u
     ]
-    return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
+    return Markup("; ").join([*modes, *(f"real {number_text(hertz, 5)}" for hertz in sensor.real_hz)])
 
 
 FILTERS: list[TableColumn[LoadFilter]] = [
     page_column("filter", lambda made: made.name, "l"),
     page_column("from / Hz", _poles),
-    page_column("ζ", lambda made: "; ".join(f"{zeta:.4g}" for zeta in made.compensation.sensor.damping_ratio) or DASH),
-    page_column("to / Hz", lambda made: f"{made.compensation.target.frequency_hz:.6g}"),
-    page_column("to ζ", lambda made: f"{made.compensation.target.damping_ratio:.4g}"),
-    page_column("rate / Hz", lambda made: f"{made.sections.sample_rate_hz:g}"),
-    page_column("noise ×", lambda made: f"{made.noise_factor:.3g}"),
-    page_column("noise after", lambda made: DASH if made.noise is None else f"{number(made.noise)} {made.output_unit}"),
-    page_column("sampling / %", lambda made: f"{PERCENT * made.discretisation_error:.2g}"),
+    page_column(
+        "ζ", lambda made: "; ".join(number_text(zeta, 4) for zeta in made.compensation.sensor.damping_ratio) or DASH
+    ),
+    page_column("to / Hz", lambda made: number_text(made.compensation.target.frequency_hz, 6)),
+    page_column("to ζ", lambda made: number_text(made.compensation.target.damping_ratio, 4)),
+    page_column("rate / Hz", lambda made: number_text(made.sections.sample_rate_hz, 6)),
+    page_column("noise ×", lambda made: number_text(made.noise_factor)),
+    page_column(
+        "noise after", lambda made: DASH if made.noise is None else f"{number_text(made.noise)} {made.output_unit}"
+    ),
+    page_column("sampling / %", lambda made: number_text(PERCENT * made.discretisation_error, 2)),
 ]
 """Cancelled dynamics, target, and cost of every filter."""
 
@@ -340,10 +340,12 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
             head = [f"{signed_text(PERCENT * off, '+g')} %" if off else "0 %" for off in first.off_frequency]
             condition = "with a sensor whose frequency is off"
         rows = [
-            (made.name, *(f"{PERCENT * r:.3g}" for r in (made.load_ringing if loads else made.off_ringing)))
+            (made.name, *(number_text(PERCENT * r) for r in (made.load_ringing if loads else made.off_ringing)))
             for made in result.filters
         ]
-        caption = f"{subject.name}: residual ringing {condition}, % of the step after {MILLI * first.after_s:.3g} ms"
+        caption = (
+            f"{subject.name}: residual ringing {condition}, % of the step after {number_text(MILLI * first.after_s)} ms"
+        )
         if head:
             tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
     return tables
@@ -357,15 +359,15 @@ def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
 
     def at_shared(case: HapticCase) -> str:
         error = case.run.tracking_error
-        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "diverges"
+        return f"{number_text(PERCENT * error)} %" if np.isfinite(error) and case.run.stable else "diverges"
 
     columns: list[TableColumn[HapticCase]] = [
         page_column("signal", lambda case: case.name, "l"),
-        page_column("largest stable K", lambda case: f"{case.largest_gain:.4g}"),
-        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.half_gain_error:.3g} %"),
-        page_column(f"at K = {check.gain:.3g}", at_shared),
+        page_column("largest stable K", lambda case: number_text(case.largest_gain, 4)),
+        page_column("tracking error at half of it", lambda case: f"{number_text(PERCENT * case.half_gain_error)} %"),
+        page_column(f"at K = {number_text(check.gain)}", at_shared),
     ]
-    caption = f"{check.channel}: force feedback with a load of {GRAM * check.load_mass:.4g} g"
+    caption = f"{check.channel}: force feedback with a load of {number_text(GRAM * check.load_mass, 4)} g"
     return table(caption, columns, check.cases)
 
 
@@ -373,10 +375,13 @@ def damping_table(evaluation: CompensateEvaluation) -> Table | None:
     """Return the damping ratio with the widest band for each permitted error, and that band."""
     damping_ratio = evaluation.filters[0].compensation.target.damping_ratio
     columns: list[TableColumn[float]] = [
-        page_column("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
+        page_column("permitted error", lambda error: f"±{number_text(PERCENT * error, 6)} %", "l"),
         page_column("best ζ", lambda error: f"{best_damping(error):.4f}"),
         page_column("band / fn", lambda error: f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}"),
-        page_column(f"band / fn with ζ = {damping_ratio:.4g}", lambda error: f"{band_ratio(damping_ratio, error):.4f}"),
+        page_column(
+            f"band / fn with ζ = {number_text(damping_ratio, 4)}",
+            lambda error: f"{band_ratio(damping_ratio, error):.4f}",
+        ),
     ]
     ratios = sorted({*ERRORS, evaluation.target_settings.permitted_error})
     return table("One mode: the damping ratio with the widest band", columns, ratios)
@@ -391,15 +396,15 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
         yield f"  damping ratio: {cell(made.before, 'damping_ratio', plain=True)} -> {target.damping_ratio:.4g}"
         for name, text in PRINTED.items():
             yield f"  {text}: {cell(made.before, name, plain=True)} -> {cell(made.after, name, plain=True)}"
-        yield f"  white noise at {made.sections.sample_rate_hz:g} Hz: × {made.noise_factor:.3g}"
+        yield f"  white noise at {number_text(made.sections.sample_rate_hz, 6)} Hz: × {number_text(made.noise_factor)}"
 
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Return the content of the page."""
     settings, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
-    error, aim = settings.permitted_error, f"{settings.frequency_hz or 0.0:g} Hz"
+    error, aim = settings.permitted_error, f"{number_text(settings.frequency_hz or 0.0, 6)} Hz"
     if settings.bandwidth_hz is not None:
-        aim = f"±{PERCENT * error:g} % to {settings.bandwidth_hz:g} Hz"
+        aim = f"±{number_text(PERCENT * error, 6)} % to {number_text(settings.bandwidth_hz, 6)} Hz"
     kind = "matched poles and zeros" if settings.discretisation == "matched" else "Tustin, prewarped at each mode"
     models = [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
     recording = [] if applied is None else [("Recording", applied.name)]
@@ -508,7 +513,7 @@ def run_compensate(
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
     root = sources.files[0].parent if sources.files else Path.cwd()
     if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
-        found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
+        found = ", ".join(f"{number_text(mass, 6)} kg" for mass in settings.load_masses)
         raise wrong_option(found, "a model over the load (load.json) for it", "--load-mass")
 
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:

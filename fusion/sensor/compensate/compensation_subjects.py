@@ -33,11 +33,12 @@ from shaker.compensation.filter import (
     modal_dynamics,
     single_mode,
 )
-from shaker.labels import load_unit, mechanical_units, typeset
+from shaker.labels import load_unit, mechanical_units
 from shaker.lti.indices import Indices
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, typeset
 from shakercal._common.notices import Notice
 
 # Settings of a compensation.
@@ -106,10 +107,10 @@ class CompensationSettings:
             raise wrong_option("none" if self.frequency_hz is None else "both", "either --frequency or --bandwidth")
         if self.bandwidth_hz is not None and self.damping_ratio is not None:
             expected = "no --damping together with --bandwidth, which determines it"
-            raise wrong_option(f"{self.damping_ratio:g}", expected, "--damping")
+            raise wrong_option(number_text(self.damping_ratio, 6), expected, "--damping")
         if not 0 < self.permitted_error < 1:
             expected = "a permitted error above 0 and below 100 %"
-            raise wrong_option(f"{100 * self.permitted_error:g} %", expected, "--permitted-error")
+            raise wrong_option(f"{number_text(100 * self.permitted_error, 6)} %", expected, "--permitted-error")
 
     def target(self, sensor: SensorDynamics) -> CompensationTarget:
         """Return the target for a sensor."""
@@ -182,8 +183,8 @@ class CompensationSubject:
     def load_text(self, load: float) -> str:
         """Return a load in g, of a moment in kg·m²."""
         if self.load_unit == "N":
-            return f"{1e3 * load:.4g} g"
-        return f"{load:.4g} {typeset(mechanical_units(self.component).inertia)}"
+            return f"{number_text(1e3 * load, 4)} g"
+        return f"{number_text(load, 4)} {typeset(mechanical_units(self.component).inertia)}"
 
     @property
     def scatter_covariance(self) -> FloatArray | None:
@@ -244,8 +245,8 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
     """Return a sensor of one mode that is stated by numbers."""
     if not damping_ratio < 1.0:
         expected = "a damping ratio below 1, of a sensor that oscillates"
-        raise wrong_option(f"{damping_ratio:g}", expected, "--sensor-damping")
-    source = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
+        raise wrong_option(number_text(damping_ratio, 6), expected, "--sensor-damping")
+    source = f"stated: {number_text(frequency_hz, 6)} Hz, ζ = {number_text(damping_ratio, 6)}"
     subject = CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source)
     return CompensationSources("stated sensor", (subject,), ())
 

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2, count_text
+from fusion.base import K2, count_text
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.figure import BLUE, COLOURS, GREY, ORANGE, Figure, empty_figure
@@ -25,15 +25,8 @@ from fusion.report.table import (
     columns_of,
     common_exponent,
     csv_text,
-    number,
     page_column,
-    quantity_html,
-    quantity_text,
-    scaled_html,
-    signed_text,
-    small,
     table,
-    times_ten,
 )
 from fusion.sensor.decouple.decoupling_evaluation import (
     FILTER_FILE,
@@ -47,8 +40,18 @@ from shaker.decoupling.common_pole_fit import ReleaseFit
 from shaker.decoupling.common_pole_search import PoleCountTrial
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.decoupling.release_problem import SHAPE_NAMES
-from shaker.labels import load_unit, sensitivity_unit, typeset
+from shaker.labels import load_unit, sensitivity_unit
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import (
+    DASH,
+    number_text,
+    quantity_text,
+    scaled_text,
+    signed_text,
+    small,
+    times_ten,
+    typeset,
+)
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2
@@ -156,12 +159,12 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     """Return the largest cross-talk at every stage, and the dynamics behind the filter."""
     lines = [
-        Headline(capitalise(what), quantity_html(value, U, "%"), which) for what, value, U, which in largest(evaluation)
+        Headline(capitalise(what), quantity_text(value, U, "%"), which) for what, value, U, which in largest(evaluation)
     ]
     target = evaluation.decoupler
-    label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
+    label = f"{number_text(target.target_hz[0], 6)} Hz, ζ = {number_text(target.target_damping[0], 6)}"
     late = 1e6 * target.delay / target.sample_rate_hz
-    remark = f"{count_text(target.delay, 'sample')} ({late:.3g} µs) late"
+    remark = f"{count_text(target.delay, 'sample')} ({number_text(late)} µs) late"
     return [*lines, Headline("Dynamics behind the filter", label, remark)]
 
 
@@ -173,12 +176,12 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
     for i in np.argsort(model.frequency_hz):
         rank = evaluation.fit.ranks[i]
         c, d = np.unravel_index(int(np.argmax(np.abs(model.residue[i]) * scale)), scale.shape)
-        hertz = quantity_html(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))
-        damping = quantity_html(100 * float(model.damping_ratio[i]), 100 * K2 * float(u.damping_ratio[i]))
+        hertz = quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))
+        damping = quantity_text(100 * float(model.damping_ratio[i]), 100 * K2 * float(u.damping_ratio[i]))
         rows.append((hertz, damping, str(rank.rank), f"{model.channels[c]} by {model.components[d]}"))
     for q in np.argsort(model.real_hz):
         rank = evaluation.fit.ranks[len(model.frequency_hz) + q]
-        value = quantity_html(float(model.real_hz[q]), K2 * float(u.real_hz[q]))
+        value = quantity_text(float(model.real_hz[q]), K2 * float(u.real_hz[q]))
         rows.append((value, "real pole", str(rank.rank), DASH))
     head = ("frequency / Hz", "damping ratio / %", "shapes", "clearest in")
     caption = f"Poles that all outputs share, with U (k = 2) {evaluation.influences.scope}"
@@ -193,7 +196,7 @@ def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
     tables, count = [], len(model.frequency_hz)
     for what, first in (("frequencies", 0), ("damping ratios", count)):
         part = slice(first, first + count)
-        names = [f"mode at {hertz:.5g} Hz" for hertz in model.frequency_hz]
+        names = [f"mode at {number_text(hertz, 5)} Hz" for hertz in model.frequency_hz]
         numbers = dict(zip(names, model.vector[part].tolist(), strict=True))
         parts = influences.budget(whole[part], effects[:, part], "releases and loads")
         tables.append(budget_table(f"Budget of the {what}", numbers, parts, influences))
@@ -206,7 +209,7 @@ def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
         values, expanded = (stage.peak * ratio).tolist(), (K2 * stage.u_peak * ratio).tolist()
-        rows = tuple((name, *map(quantity_html, *cells)) for name, *cells in zip(names, values, expanded, strict=True))
+        rows = tuple((name, *map(quantity_text, *cells)) for name, *cells in zip(names, values, expanded, strict=True))
         caption = f"Largest reading in a step, {STAGE_NAMES[stage.stage]}: % of {unit}, with U (k = 2)"
         head = ("reading", *(f"step of {name}" for name in names))
         tables.append(Table(caption, head, "l" + "r" * len(names), rows))
@@ -219,7 +222,7 @@ def static_table(evaluation: DecoupleEvaluation) -> Table:
     value, expanded = model.static_gain * evaluation.scale, K2 * static_u(evaluation) * evaluation.scale
     exponent = common_exponent(value.astype(np.complex128))
     rows = tuple(
-        (channel, *(scaled_html(float(value[c, d]), float(expanded[c, d]), exponent) for d in range(value.shape[1])))
+        (channel, *(scaled_text(float(value[c, d]), float(expanded[c, d]), exponent) for d in range(value.shape[1])))
         for c, channel in enumerate(model.channels)
     )
     head = ("output", *model.components)
@@ -230,16 +233,16 @@ def static_table(evaluation: DecoupleEvaluation) -> Table:
 
 NOISE: list[TableColumn[tuple[str, float, float]]] = [
     page_column("load", lambda row: row[0], "l"),
-    page_column("static matrix", lambda row: number(row[1] / row[2])),
-    page_column("filter", lambda row: number(row[1])),
-    page_column("gain", lambda row: number(row[2])),
+    page_column("static matrix", lambda row: number_text(row[1] / row[2])),
+    page_column("filter", lambda row: number_text(row[1])),
+    page_column("gain", lambda row: number_text(row[2])),
     page_column("unit", lambda row: typeset(load_unit(row[0])), "l"),
 ]
 """Noise of the loads behind the filter and with the static matrix: rows of load, noise, gain."""
 
 
 def _ms(value_s: float, u_s: float) -> str:
-    return quantity_html(1e3 * value_s, 1e3 * K2 * u_s)
+    return quantity_text(1e3 * value_s, 1e3 * K2 * u_s)
 
 
 RELEASES: list[TableColumn[ReleaseFit]] = [
@@ -249,7 +252,7 @@ RELEASES: list[TableColumn[ReleaseFit]] = [
     page_column("middle / ms", lambda release: _ms(release.middle_s, release.u_middle_s)),
     page_column("duration / ms", lambda r: _ms(r.duration_s, r.u_duration_s) if r.duration_s else "step"),
     page_column("along", lambda release: SHAPE_NAMES[release.shape], "l"),
-    page_column("size − mean / %", lambda release: quantity_html(100 * (release.gain - 1), 100 * K2 * release.u_gain)),
+    page_column("size − mean / %", lambda release: quantity_text(100 * (release.gain - 1), 100 * K2 * release.u_gain)),
     page_column("misfit", lambda release: small(float(release.misfit.max()))),
 ]
 TRIALS: list[TableColumn[PoleCountTrial]] = [
@@ -339,9 +342,9 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
         yield f"{what}: {quantity_text(value, U, '%')}, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
     yield (
-        f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
+        f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:.6g}: "
         f"{len(target.poles)} poles, {count_text(target.delay, 'sample')} of delay, "
-        f"noise gain {gain.min():.3g} to {gain.max():.3g}"
+        f"noise gain {number_text(gain.min())} to {number_text(gain.max())}"
     )
 
 
@@ -349,7 +352,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     """Return the content of the page."""
     fit, names = evaluation.fit, evaluation.fit.model.components
     counts = [f"{name} {sum(release.component == name for release in fit.releases)}" for name in names]
-    outputs = f"{', '.join(fit.model.channels)} at {fit.sample_rate_hz:g} Hz"
+    outputs = f"{', '.join(fit.model.channels)} at {number_text(fit.sample_rate_hz, 6)} Hz"
     within = evaluation.frequency_hz <= evaluation.decoupler.target_hz.max()
     comparable = np.count_nonzero(np.isfinite(evaluation.ratio)) > len(names)
     noise = zip(names, evaluation.noise.tolist(), evaluation.noise_gain.tolist(), strict=True)
@@ -365,7 +368,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
         "noise": table("Noise of a sample (standard deviation) by the outputs' noise", NOISE, noise),
         "releases": table("Releases, with U (k = 2); misfit: largest residual over the noise", RELEASES, fit.releases),
         "trials": table("Numbers of poles that were tried (around the releases)", TRIALS, fit.trials),
-        "deviation": f"{100 * float(evaluation.deviation[within].max()):.2g}",
+        "deviation": number_text(100 * float(evaluation.deviation[within].max()), 2),
     }
 
 

@@ -11,24 +11,13 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from fusion.base import DASH, MILLI, PERCENT, FileIdentity, ProgressCallback, no_progress, round_to_uncertainty
+from fusion.base import MILLI, PERCENT, FileIdentity, ProgressCallback, no_progress
 from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, empty_figure
 from fusion.report.figure import Figure as Drawing
 from fusion.report.figure_files import PrintedFigure, drawing, figure_bytes, finish, new_figure
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.table import (
-    Headline,
-    Table,
-    TableColumn,
-    columns_of,
-    csv_text,
-    page_column,
-    quantity_html,
-    signed_text,
-    table,
-    text_column,
-)
+from fusion.report.table import Headline, Table, TableColumn, columns_of, csv_text, page_column, table, text_column
 from fusion.sensor.elastomer.element_definition import read_definition
 from fusion.sensor.elastomer.element_evaluation import (
     ComparedColumn,
@@ -43,6 +32,7 @@ from fusion.sensor.elastomer.element_evaluation import (
 from shaker.elastomer.frame import MODE_NAMES, PlatformFit, RigidPart
 from shaker.elastomer.solid import SolidModel, mesh_change
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import DASH, number_text, quantity_text, round_to_uncertainty, signed_text
 
 PLATFORMS = "Platforms with the target frequencies: all are possible, none is validated"
 SPREAD = "spread"
@@ -103,12 +93,12 @@ def _number(fact: StaticsFact, value: float) -> str:
     """Return a number of the beam formulas as text."""
     if np.isnan(value):
         return DASH
-    return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
+    return _plain(value) if fact.unit in ("N/m", "Pa") else number_text(value, 4)
 
 
 def _plain(value: float) -> str:
     """Return four significant digits with a power of ten, as HTML."""
-    return quantity_html(float(f"{value:.4g}"), 0.0)
+    return quantity_text(float(f"{value:.4g}"), 0.0)
 
 
 STATICS: list[TableColumn[StaticsFact]] = [
@@ -127,11 +117,13 @@ def _in_milli(name: str, head: str, value: Callable[[RigidPart], float]) -> Tabl
 
 
 def _misfit(ratio: float) -> str:
-    return "< 0.01" if ratio < 1e-4 else f"{100.0 * ratio:.2g}"
+    return "< 0.01" if ratio < 1e-4 else number_text(100.0 * ratio, 2)
 
 
 PLATFORM: list[TableColumn[PlatformFit]] = [
-    TableColumn("half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda f: f"{MILLI * f.half_size_m:g}"),
+    TableColumn(
+        "half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda f: number_text(MILLI * f.half_size_m, 6)
+    ),
     _in_milli("mass_kg", "mass / g", lambda part: part.mass_kg),
     _in_milli("height_m", "height / mm", lambda part: part.height_m),
     _in_milli("gyration_x_m", "gyration x, y / mm", lambda part: part.gyration_m[0]),
@@ -363,7 +355,7 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
     for label, *cells in lines:
         yield f"{label:{width}}  {'  '.join(f'{cell:>14}' for cell in cells)}{'' if label else '  Hz'}"
     stiffness = evaluation.frame.stiffness
-    yield f"stiffness (frame): kx {stiffness[0]:.4g} N/m, kz {stiffness[2]:.4g} N/m"
+    yield f"stiffness (frame): kx {number_text(stiffness[0], 4)} N/m, kz {number_text(stiffness[2], 4)} N/m"
     if evaluation.mounted is not None:
         frequencies = ", ".join(f"{value:.1f}" for value in evaluation.mounted.frequency_hz)
         yield f"mounted, {evaluation.mounted.direction}: {frequencies} Hz"
@@ -371,7 +363,7 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
         part = fit.platform
         lengths = ", ".join(f"{MILLI * value:.1f}" for value in (part.height_m, part.gyration_m[0], part.gyration_m[2]))
         numbers = f"{MILLI * part.mass_kg:.2f} g, height and gyrations {lengths} mm"
-        yield f"fitted platform, half-size {MILLI * fit.half_size_m:g} mm: {numbers}"
+        yield f"fitted platform, half-size {number_text(MILLI * fit.half_size_m, 6)} mm: {numbers}"
 
 
 def _with_u(column: ComparedColumn, index: int) -> tuple[str, str]:
@@ -380,7 +372,7 @@ def _with_u(column: ComparedColumn, index: int) -> tuple[str, str]:
     if not np.isfinite(value):
         return DASH, ""
     if column.kind != "measured" or not np.isfinite(u):
-        return f"{value:.6g}" if column.kind == "stated" else f"{value:.1f}", ""
+        return number_text(value, 6) if column.kind == "stated" else f"{value:.1f}", ""
     text = round_to_uncertainty(value, 2.0 * u, 0)
     return text.value, text.expanded
 
@@ -408,15 +400,15 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
     beams, part = evaluation.definition.beams, evaluation.definition.platform
     size = evaluation.definition.file.platform.half_size
     material = beams.material
-    cross = f"span {1e3 * beams.span_m:g} mm, {1e3 * beams.beam_width_m:g} × {1e3 * beams.beam_height_m:g} mm"
-    compliant = f"{1e3 * beams.compliant_length_m:g} mm long, {1e3 * beams.compliant_thickness_m:g} × "
-    compliant += f"{1e3 * beams.compliant_height_m:g} mm"
+    cross = f"span {1e3 * beams.span_m:.6g} mm, {1e3 * beams.beam_width_m:.6g} × {1e3 * beams.beam_height_m:.6g} mm"
+    compliant = f"{1e3 * beams.compliant_length_m:.6g} mm long, {1e3 * beams.compliant_thickness_m:.6g} × "
+    compliant += f"{number_text(1e3 * beams.compliant_height_m, 6)} mm"
     gyration = part.gyration_m * 1e3
-    rigid = f"{2e3 * size:g} mm square, {1e3 * part.mass_kg:.4g} g, centre {1e3 * part.height_m:.4g} mm high, "
-    rigid += f"gyration {gyration[0]:.4g}, {gyration[1]:.4g}, {gyration[2]:.4g} mm"
-    elastic = f"E {1e-9 * material.youngs_modulus_pa:g} GPa, ν {material.poisson_ratio:g}, "
+    rigid = f"{2e3 * size:.6g} mm square, {1e3 * part.mass_kg:.4g} g, centre {1e3 * part.height_m:.4g} mm high, "
+    rigid += f"gyration {number_text(gyration[0], 4)}, {number_text(gyration[1], 4)}, {number_text(gyration[2], 4)} mm"
+    elastic = f"E {number_text(1e-9 * material.youngs_modulus_pa, 6)} GPa, ν {number_text(material.poisson_ratio, 6)}, "
     return [
-        ("Material", f"{elastic}{material.density_kgm3:g} kg/m³"),
+        ("Material", f"{elastic}{number_text(material.density_kgm3, 6)} kg/m³"),
         ("Cross beams", cross),
         ("Compliant beams", compliant),
         ("Platform and parts", rigid),

@@ -30,8 +30,8 @@ from fusion.sensor.identify.joint_fit import SensitivityResult
 from fusion.sensor.transfer.transfer_records import uncertainty
 from shaker.frf.chain import common_covariance
 from shaker.identification.sensor import NO_CHAIN, Load
-from shaker.labels import typeset
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
+from shakercal._common.digits import number_text, typeset
 
 STYLES = ((GREEN, True), (PURPLE, True), (BLACK, False))
 """Colour of each explanation of a sensitivity, and whether its line is dashed."""
@@ -139,12 +139,12 @@ def _draw_circle(panel: Panel, curve: FittedCurve) -> None:
     value, model, frequency = curve.value[lines], curve.model[lines], curve.frequency_hz[lines]
     for along in ("x", "y"):
         panel.rule(0.0, along=along, colour=LIGHT)
-    names = tuple(f"{hertz:.6g} Hz" for hertz in frequency)
+    names = tuple(f"{number_text(hertz, 6)} Hz" for hertz in frequency)
     panel.points(value.real, value.imag, "measured", colour=BLUE, size=2.4, names=names)
     panel.line(model.real, model.imag, "model", colour=RED, width=0.9)
     if len(frequency):
         at = [int(np.argmin(np.abs(frequency - f0))) for f0, _ in curve.modes]
-        names = tuple(f"mode, {f0:.6g} Hz" for f0, _ in curve.modes)
+        names = tuple(f"mode, {number_text(f0, 6)} Hz" for f0, _ in curve.modes)
         panel.points(model.real[at], model.imag[at], "modes", colour=BLACK, marker="x", size=6.0, names=names)
         reach = 0.55 * max(np.ptp(model.real), np.ptp(model.imag), 1e-12)
         middle = 0.5 * (model.real.max() + model.real.min()), 0.5 * (model.imag.max() + model.imag.min())
@@ -210,19 +210,19 @@ def draw_outputs_over_load(component: IdentifiedComponent) -> Figure:
     panel.span(-100.0 * permitted, 100.0 * permitted, colour=GREY)
     for kg, band, colour in zip(component.loads, component.bands, COLOURS, strict=False):
         deviation = 100.0 * (np.abs(model.output_factor(hertz, Load(kg, "force")) / model.sensitivity) - 1.0)
-        panel.line(hertz, deviation, f"{kg:.4g} {unit}", colour=colour)
+        panel.line(hertz, deviation, f"{number_text(kg, 4)} {unit}", colour=colour)
         if np.isfinite(band.upper_hz):
-            panel.rule(band.upper_hz, f"{kg:.4g} {unit}", along="x", colour=colour, dashed=True)
+            panel.rule(band.upper_hz, f"{number_text(kg, 4)} {unit}", along="x", colour=colour, dashed=True)
             if np.isnan(band.u_upper_hz):  # refuted by the data
                 continue
             ends = (band.upper_hz - K2 * band.u_upper_hz, band.upper_hz + K2 * band.u_upper_hz)
-            panel.span(*ends, f"{kg:.4g} {unit}", along="x", colour=colour)
+            panel.span(*ends, f"{number_text(kg, 4)} {unit}", along="x", colour=colour)
     widest = max((band.upper_hz for band in component.bands if np.isfinite(band.upper_hz)), default=highest)
     panel.x.limits, panel.y.limits = (0.0, min(1.6 * widest, highest)), (-300.0 * permitted, 300.0 * permitted)
     panel.x.label, panel.y.label = "frequency / Hz", "output over force − 1 / %"
     panel.title = "uncorrected output, force applied to a load on a rigid base"
     caption = (
         "By how much the magnitude of the output departs from the force that acts on a load of the mass given, and "
-        f"where it leaves ±{100.0 * permitted:g} % (dashed, U with k = 2 shaded): the usable band without correction."
+        f"where it leaves ±{100.0 * permitted:.6g} % (dashed, U with k = 2 shaded): the usable band without correction."
     )
     return drawn.with_title("Usable band by load mass", caption)

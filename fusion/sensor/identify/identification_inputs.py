@@ -31,9 +31,10 @@ from shaker.identification.measured_curves import (
     Placement,
     PlacementError,
 )
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import typeset
 from shakercal._common.notices import Notice
 
 # Choices of an identification.

@@ -13,7 +13,6 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, round_to_uncertainty
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CommandReport
@@ -26,12 +25,8 @@ from fusion.report.table import (
     columns_of,
     csv_text,
     page_column,
-    quantity_html,
-    quantity_text,
-    small,
     table,
     text_column,
-    times_ten,
 )
 from fusion.sensor.identify.identification_evaluation import (
     LABELS,
@@ -55,7 +50,8 @@ from shaker.identification.sensor import (
     SensorModel,
     UsableBand,
 )
-from shaker.labels import LOAD_COMPONENTS, mechanical_units, typeset
+from shaker.labels import LOAD_COMPONENTS, mechanical_units
+from shakercal._common.digits import DASH, number_text, quantity_text, round_to_uncertainty, small, times_ten, typeset
 
 # Numbers in files, on the page and on the terminal.
 
@@ -96,7 +92,7 @@ def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
         for estimate in component.sensitivity_estimates:
             yield axis, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
     for load, band in zip(component.loads, component.bands, strict=True):
-        name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
+        name, label = f"usable_band: load {load:g}", f"usable band, load {number_text(load, 6)}"
         yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
@@ -123,9 +119,9 @@ def rivals_table(component: IdentifiedComponent) -> Table | None:
     columns: list[TableColumn[FittedRival]] = [
         page_column("model", lambda rival: str(rival.model), "l"),
         page_column("parameters", lambda rival: f"{rival.free}"),
-        page_column("residuals / uncertainty", lambda rival: f"{departure(rival.identification):.3g}"),
-        page_column("criterion, over the chosen one", lambda rival: f"{choice.difference(rival):.3g}"),
-        page_column("k", lambda rival: quantity_html(rival.identification.value(name), np.nan)),
+        page_column("residuals / uncertainty", lambda rival: number_text(departure(rival.identification))),
+        page_column("criterion, over the chosen one", lambda rival: number_text(choice.difference(rival))),
+        page_column("k", lambda rival: quantity_text(rival.identification.value(name), np.nan)),
         page_column("verdict", lambda rival: verdict(choice, rival), "l"),
     ]
     return table("Rival models, by Akaike's criterion", columns, choice.tried)
@@ -153,7 +149,7 @@ def budget_table(component: IdentifiedComponent) -> Table | None:
     shown = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
     whole = np.array([estimate.u for estimate in estimates]) / size
     rows = tuple(
-        (cause, *(f"{100.0 * part:.2g}" if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
+        (cause, *(number_text(100.0 * part, 2) if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
         for cause, parts in [*((cause, share[cause]) for cause in shown), ("combined, k = 1", whole)]
     )
     head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in estimates))
@@ -170,11 +166,11 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
         rows = tuple(
             (
                 below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
-                quantity_html(reading.frequency_hz, K * reading.u_frequency_hz),
-                quantity_html(reading.width_hz, K * reading.u_width_hz),
-                quantity_html(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
+                quantity_text(reading.frequency_hz, K * reading.u_frequency_hz),
+                quantity_text(reading.width_hz, K * reading.u_width_hz),
+                quantity_text(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
                 f"{reading.stiffness / 10.0**exponent:.5f}",
-                f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
+                number_text(reading.damping, 5) if np.isfinite(reading.damping) else DASH,
             )
             for reading in of_curve
         )
@@ -210,16 +206,16 @@ def bands_table(component: IdentifiedComponent) -> Table | None:
     """Return the usable band without correction for each load mass, None without any."""
 
     def edge(band: UsableBand) -> str:
-        return quantity_html(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
+        return quantity_text(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
 
     columns: list[TableColumn[tuple[float, UsableBand]]] = [
-        page_column(f"load / {mass_unit(component.fit.component)}", lambda row: f"{row[0]:.6g}"),
+        page_column(f"load / {mass_unit(component.fit.component)}", lambda row: number_text(row[0], 6)),
         page_column("up to", lambda row: edge(row[1])),
         page_column("U / %", lambda row: _relative(row[1].upper_hz, row[1].u_upper_hz)),
         page_column("ends by", lambda row: LIMITS[row[1].limit], "l"),
     ]
     permitted = 100.0 * component.bands[0].permitted if component.bands else 0.0
-    caption = f"Frequencies up to which the uncorrected output stays within ±{permitted:g} % of its static value"
+    caption = f"Frequencies up to which the uncorrected output stays within ±{permitted:.6g} % of its static value"
     return table(caption, columns, zip(component.loads, component.bands, strict=True))
 
 
@@ -228,13 +224,13 @@ def recordings_table(component: IdentifiedComponent) -> Table | None:
 
     def band(item: PreparedTransfer) -> str:
         frequency = item.measured.ratio.frequency_hz
-        return f"{frequency.min():.6g} to {frequency.max():.6g}"
+        return f"{number_text(frequency.min(), 6)} to {number_text(frequency.max(), 6)}"
 
     unit = mass_unit(component.fit.component)
     columns: list[TableColumn[PreparedTransfer]] = [
         page_column("recording", lambda item: item.measured.name, "l"),
         page_column("kind", lambda item: item.manifest.excitation.kind, "l"),
-        page_column("load", lambda item: quantity_html(item.load_kg, K * item.u_load_kg, unit)),
+        page_column("load", lambda item: quantity_text(item.load_kg, K * item.u_load_kg, unit)),
         page_column("load over base", lambda item: ", ".join(item.measured.ratio.channels), "l"),
         page_column("lines", lambda item: f"{len(item.measured.ratio.frequency_hz)}"),
         page_column("band / Hz", band),
@@ -270,21 +266,21 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield "  model refuted by the data: values without U"
         estimates = [*fit.reported.estimates, *fit.reported.derived]
         for estimate in [*estimates, *(e for e in component.sensitivity_estimates if e.name != "spring_time_s")]:
-            text = round_to_uncertainty(estimate.value, K * estimate.u).text
-            yield f"  {estimate.label}: {text} {typeset(estimate.unit)}"
+            yield f"  {estimate.label}: {quantity_text(estimate.value, K * estimate.u, estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
-            limit = quantity_text(band.upper_hz, K * band.u_upper_hz)
-            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {limit} Hz"
+            limit = quantity_text(band.upper_hz, K * band.u_upper_hz, "Hz")
+            loaded = f"load {number_text(load, 6)} {mass_unit(component.fit.component)}"
+            yield f"  usable up to (±{number_text(100.0 * band.permitted)} %, {loaded}): {limit}"
 
 
-def _in_microseconds(estimate: ParameterEstimate) -> Markup:
+def _in_microseconds(estimate: ParameterEstimate) -> str:
     """Return a value with U and unit; times in µs."""
     scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
-    return quantity_html(scale * estimate.value, scale * K * estimate.u, unit)
+    return quantity_text(scale * estimate.value, scale * K * estimate.u, unit)
 
 
 def _with_u(estimate: ParameterEstimate) -> str:
-    return quantity_html(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
+    return quantity_text(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
 
 
 def _relative(value: float, u: float) -> str:

@@ -10,7 +10,7 @@ from fusion.sensor import response_notices as declared
 from shaker.identification.rival_models import FittedRival, ModelChoice, RivalModel, unstated_lag_s
 from shaker.identification.structure_fit import Identification
 from shaker.identification.structures import CHANGE
-from shaker.labels import typeset
+from shakercal._common.digits import number_text, typeset
 from shakercal._common.notices import Notice
 
 
@@ -24,13 +24,13 @@ def describe_choice(choice: ModelChoice, selected: str, peaks_hz: Sequence[float
     best = choice.best
     reason = "as selected; " if selected != "auto" else ""
     if selected == "auto" and best.model.structure != "translation" and len(peaks_hz) > 1:
-        listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
+        listed = " and ".join(f"{number_text(peak, 6)} Hz" for peak in peaks_hz[:2])
         reason = f"the curves have peaks at {listed}, of which one translation explains one; "
-    reason += f"its residuals are {departure(best.identification):.3g} times their uncertainty"
+    reason += f"its residuals are {number_text(departure(best.identification))} times their uncertainty"
     others = [rival for rival in choice.tried if rival is not best and not rival.model.contains(best.model)]
     if others:
         second = min(others, key=choice.difference)
-        reason += f", those of {second.model} {departure(second.identification):.3g} times"
+        reason += f", those of {second.model} {number_text(departure(second.identification))} times"
     return reason
 
 
@@ -100,5 +100,5 @@ def _by_amplitude(found: Identification, where: str, forces: Sequence[float]) ->
         "stiffness_percent": share[0] * found.value(f"{CHANGE}stiffness_{axis}"),
         "damping_percent": share[1] * found.value(f"{CHANGE}damping_{axis}"),
     }
-    over = f"loads from {min(forces):.3g} to {max(forces):.3g} {'N' if len(axis) == 1 else 'N·m'}"
+    over = f"loads from {number_text(min(forces))} to {number_text(max(forces))} {'N' if len(axis) == 1 else 'N·m'}"
     return Notice(declared.CHANGES_WITH_AMPLITUDE, where, **changes, range=over)

@@ -7,9 +7,10 @@ import numpy as np
 from fusion.base import GRAM, PERCENT
 from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, ORANGE, Figure, Panel, empty_figure
 from fusion.sensor.load.load_evaluation import ComponentLoads
-from shaker.labels import mechanical_units, typeset
+from shaker.labels import mechanical_units
 from shaker.release.load_modes import project_amplitudes
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, typeset
 
 
 def small_unit(component: ComponentLoads) -> str:
@@ -58,7 +59,7 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
         _empty(second, "a rigid load has no second mode")
     caption = (
         "Lines: models with 95 % bands; points: measured, with U. Below left: models less measured, the permitted "
-        f"{PERCENT * permitted:g} % grey."
+        f"{number_text(PERCENT * permitted, 6)} % grey."
     )
     return drawn.with_title("Resonances and damping over the load", caption, main=True)
 
@@ -87,7 +88,7 @@ def draw_spectra(component: ComponentLoads) -> Figure | None:
         modes = modes_hz[index][np.isfinite(modes_hz[index])]
         panel.rule(modes, "modes of the model", along="x", colour=GREY, width=0.7, dashed=True)
         panel.y.log, panel.x.limits = True, (0.0, top)
-        panel.title = f"{decay.name}, load {GRAM * load:.5g} {small_unit(component)}"
+        panel.title = f"{decay.name}, load {number_text(GRAM * load, 5)} {small_unit(component)}"
     drawn.panels[-1].x.label = "frequency / Hz"
     caption = (
         "Amplitude of the output after the release over its largest line; grey: residual of the model, with amplitudes "

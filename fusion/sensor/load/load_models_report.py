@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import DASH, GRAM, round_to_uncertainty
+from fusion.base import GRAM
 from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import load_for_command
 from fusion.report.folder import CommandReport, hash_files
@@ -24,8 +24,6 @@ from fusion.report.table import (
     factor_text,
     finite_or_none,
     page_column,
-    quantity_html,
-    signed_text,
     table,
     text_column,
 )
@@ -41,9 +39,9 @@ from fusion.sensor.load.load_evaluation import (
 from fusion.sensor.load.load_figures import draw_characteristics, draw_spectra, small_unit
 from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, parameter_units
 from fusion.sensor.unmodelled_effects import budget_table
-from shaker.labels import typeset
 from shaker.release.load_model import PARAMETERS, LoadCurve
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import DASH, number_text, quantity_text, signed_text, typeset
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
 LABELS = {
@@ -78,7 +76,7 @@ class LoadRow(NamedTuple):
     @property
     def mass_text(self) -> str:
         """Return the load in g or g·m²."""
-        return f"{GRAM * self.curve.load_mass[self.load_index]:.6g}"
+        return number_text(GRAM * self.curve.load_mass[self.load_index], 6)
 
     def model_hz(self, mode: int) -> tuple[float, float]:
         """Return a resonance of the model with U."""
@@ -300,12 +298,12 @@ def headlines(component: ComponentLoads) -> list[Headline]:
     solution = component.solutions[0]
     remark = (f"U: k = {factor_text(component.k)}" if component.covers else "without U") + _which(solution)
     lines = [
-        Headline(capitalise(one.label), quantity_html(one.value, one.expanded, typeset(one.unit)), remark)
+        Headline(capitalise(one.label), quantity_text(one.value, one.expanded, typeset(one.unit)), remark)
         for _, one, _ in parameters(component, solution)
         if one.name.endswith("stiffness")
     ]
     bare = next(row for row in load_rows(component, solution) if row.kind == DRAWN)
-    lines.append(Headline("Resonance without load", quantity_html(*bare.model_hz(0), "Hz"), "by the model"))
+    lines.append(Headline("Resonance without load", quantity_text(*bare.model_hz(0), "Hz"), "by the model"))
     limit = solution.limits[0]
     if np.isfinite(limit.value):
         lines.append(Headline("Two-mass formula valid up to", _limit(component, limit), limit.label))
@@ -317,16 +315,16 @@ def parameters_table(component: ComponentLoads) -> Table | None:
 
     def relative(row: LoadParameter) -> str:
         one = row.quantity
-        return f"{100.0 * one.expanded / one.value:.2g}" if one.u > 0.0 and one.value else DASH
+        return number_text(100.0 * one.expanded / one.value, 2) if one.u > 0.0 and one.value else DASH
 
     def given_masses(row: LoadParameter) -> str:
         one, given = row.quantity, row.u_given_masses
-        return quantity_html(one.value, one.k * given) if given > 0.0 else DASH
+        return quantity_text(one.value, one.k * given) if given > 0.0 else DASH
 
     columns: list[TableColumn[LoadParameter]] = [
         page_column("solution", lambda row: f"{row.solution}", "l"),
         page_column("quantity", lambda row: capitalise(row.quantity.label), "l"),
-        page_column("value", lambda row: quantity_html(row.quantity.value, row.quantity.expanded)),
+        page_column("value", lambda row: quantity_text(row.quantity.value, row.quantity.expanded)),
         page_column("unit", lambda row: typeset(row.quantity.unit), "l"),
         page_column("U relative / %", relative),
         page_column("for the stated masses", given_masses),
@@ -359,8 +357,8 @@ def loads_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
     columns: list[TableColumn[LoadRow]] = [
         page_column("recording", lambda row: row.recording, "l"),
         page_column(f"load / {small_unit(component)}", lambda row: row.mass_text),
-        page_column("first / Hz", lambda row: quantity_html(*row.measured_hz(0))),
-        page_column("second / Hz", lambda row: quantity_html(*row.measured_hz(1))),
+        page_column("first / Hz", lambda row: quantity_text(*row.measured_hz(0))),
+        page_column("second / Hz", lambda row: quantity_text(*row.measured_hz(1))),
         less_measured("model / %", lambda row: row.model_hz(0)[0]),
         less_measured("formula / %", lambda row: float(component.formula_hz[row.load_index])),
         less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.load_index, 0])),
@@ -374,16 +372,16 @@ def bands_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
 
     def damping(row: LoadRow) -> str:
         zeta, u = (float(of[row.load_index, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
-        return quantity_html(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
+        return quantity_text(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
 
     columns: list[TableColumn[LoadRow]] = [
         page_column("load", lambda row: row.recording or row.kind, "l"),
         page_column(f"mass / {small_unit(component)}", lambda row: row.mass_text),
-        page_column("first / Hz", lambda row: quantity_html(*row.model_hz(0))),
-        page_column("second / Hz", lambda row: quantity_html(*row.model_hz(1))),
+        page_column("first / Hz", lambda row: quantity_text(*row.model_hz(0))),
+        page_column("second / Hz", lambda row: quantity_text(*row.model_hz(1))),
         page_column("damping ratio / %", damping),
-        page_column("±5 % to / Hz", lambda row: quantity_html(*row.band_hz(0))),
-        page_column("±10 % to / Hz", lambda row: quantity_html(*row.band_hz(1))),
+        page_column("±5 % to / Hz", lambda row: quantity_text(*row.band_hz(0))),
+        page_column("±10 % to / Hz", lambda row: quantity_text(*row.band_hz(1))),
     ]
     caption = f"Mounted resonances, damping and bands in which the gain is that at rest{_which(solution)}"
     return table(caption, columns, (row for row in load_rows(component, solution) if row.kind != DRAWN))
@@ -410,7 +408,7 @@ def masses_table(component: ComponentLoads) -> Table | None:
     u_left = np.sqrt(np.diag(fit.covariance)[len(fit.numbers) :])
     columns: list[TableColumn[int]] = [
         page_column("mass error", lambda index: masses.names[index], "l"),
-        page_column(f"stated u / {small_unit(component)}", lambda index: f"{GRAM * largest[index]:.3g}"),
+        page_column(f"stated u / {small_unit(component)}", lambda index: number_text(GRAM * largest[index])),
         page_column("found / stated u", lambda index: signed_text(float(fit.deviates[index]), "+.2f")),
         page_column("u left / stated u", lambda index: f"{u_left[index]:.2f}"),
     ]
@@ -424,20 +422,20 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
         for solution in component.solutions:
             numbers = []
             for _, one, _ in parameters(component, solution):
-                rounded = round_to_uncertainty(one.value, one.expanded).text
-                numbers.append(f"{one.label.rpartition(' ')[2]} = {rounded} {typeset(one.unit)}")
+                size = quantity_text(one.value, one.expanded, one.unit)
+                numbers.append(f"{one.label.rpartition(' ')[2]} = {size}")
             which, scope = f"{_structure(solution)}{_which(solution)}", component.series.influences.scope
             yield f"{component.name} ({which}): {', '.join(numbers)}; U {scope}"
             for row in (row for row in load_rows(component, solution) if row.kind != DRAWN):
                 model, named = row.model_hz(0), row.recording or row.kind
-                line = f"  {named}: load {row.mass_text} {small}, resonance {round_to_uncertainty(*model).text} Hz"
+                line = f"  {named}: load {row.mass_text} {small}, resonance {quantity_text(*model, 'Hz')}"
                 if row.kind == RECORDED:
                     seen, _ = row.measured_hz(0)
-                    line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
+                    line += f", measured {number_text(seen, 6)} Hz ({_percent(model[0] / seen - 1.0)} %)"
                 yield line
             for limit in solution.limits:
-                mass = round_to_uncertainty(GRAM * limit.value, GRAM * limit.expanded).text
-                yield f"  {limit.label}: {f'load up to {mass} {small}' if np.isfinite(limit.value) else NO_LIMIT}"
+                mass = quantity_text(GRAM * limit.value, GRAM * limit.expanded, small)
+                yield f"  {limit.label}: {f'load up to {mass}' if np.isfinite(limit.value) else NO_LIMIT}"
 
 
 def _structure(solution: LoadSolution) -> str:
@@ -452,7 +450,7 @@ def _which(solution: LoadSolution) -> str:
 
 def _limit(component: ComponentLoads, limit: NamedQuantity) -> str:
     """Return a permitted load in g or g·m² with U."""
-    return quantity_html(GRAM * limit.value, GRAM * limit.expanded, small_unit(component))
+    return quantity_text(GRAM * limit.value, GRAM * limit.expanded, small_unit(component))
 
 
 def _percent(share: float) -> str:

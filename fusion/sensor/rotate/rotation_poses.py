@@ -8,12 +8,13 @@ import numpy as np
 
 from fusion.base import prefix
 from fusion.report.figure import COLOURS, LIGHT, Figure, empty_figure
-from fusion.report.table import Table, TableColumn, page_column, quantity_html, short, table
+from fusion.report.table import Table, TableColumn, page_column, table
 from fusion.sensor import bench_notices as declared
 from fusion.sensor.rotate.rotation_readings import RotationEvaluation, RotationRecording
-from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.orientations import OrientationFit
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, quantity_text, typeset
 from shakercal._common.notices import Notice
 
 MOST_CONDITION = 5.0  # of offset and gravity, of poses in good order: chosen
@@ -85,7 +86,7 @@ def poses_table(evaluation: RotationEvaluation) -> Table | None:
         page_column("readings", lambda row: f"{row[1].count.sum()}"),
         page_column("poses", lambda row: f"{len(row[1].count)}"),
         page_column("axes of gravity", lambda row: f"{row[1].axes}"),
-        page_column("condition number", lambda row: short(row[1].condition)),
+        page_column("condition number", lambda row: number_text(row[1].condition, 2)),
         page_column("most useful further pose", lambda row: f"{further_pose(row[1])} down", "l"),
         page_column("random walk in", lambda row: ", ".join(walking(row[1])) or "none", "l"),
     ]
@@ -108,6 +109,6 @@ def matrix_table(evaluation: RotationEvaluation) -> Table | None:
     for c, channel in enumerate(channels):
         for j, force in enumerate(LOAD_COMPONENTS[:3]):
             q = found[f"{channel}/{force}"]
-            rows.append((channel, force, quantity_html(q.value, q.expanded), short(stated[c, j])))
+            rows.append((channel, force, quantity_text(q.value, q.expanded), number_text(stated[c, j], 2)))
     head = ("output", "force", over_unit("by the weighed load", unit), "stated")
     return Table("Force part of the static matrix with U", head, "llrr", tuple(rows))

@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fusion.base import DASH, GRAM, MILLI, prefix
+from fusion.base import GRAM, MILLI, prefix
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
 from fusion.report.figure import BLACK, COLOURS, GREY, LIGHT, Figure, Panel, empty_figure
@@ -25,11 +25,6 @@ from fusion.report.table import (
     factor_text,
     page_column,
     quantity_columns,
-    quantity_html,
-    quantity_text,
-    short,
-    signed_text,
-    small,
     table,
     text_column,
 )
@@ -42,12 +37,21 @@ from fusion.sensor.rotate.rotation_readings import (
     RotationRecording,
     RotationScatter,
 )
-from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, turning_sense
 from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, UNDETERMINED_SOURCE
 from shaker.static_rotation.orientations import OrientationFit
 from shaker.static_rotation.weight_model import FORCES
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import (
+    DASH,
+    quantity_text,
+    round_to_uncertainty,
+    scaled_text,
+    signed_text,
+    small,
+    typeset,
+)
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -209,7 +213,7 @@ def headlines(evaluation: RotationEvaluation) -> list[Headline]:
             if q.unit == "%":
                 normalised = evaluation.find(NORMALISED, q.component)
                 remark = "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
-            value = quantity_html(q.value, q.expanded, q.unit)
+            value = quantity_text(q.value, q.expanded, q.unit)
             lines.append(Headline(capitalise(q.label), value, f"U: k = {factor_text(q.k)}; {remark}"))
     return lines
 
@@ -219,7 +223,7 @@ def masses_table(evaluation: RotationEvaluation) -> Table | None:
     columns: list[TableColumn[RotationQuantity]] = [
         page_column("quantity", lambda q: capitalise(q.label), "l"),
         page_column("by", lambda q: q.component, "l"),
-        page_column("mass", lambda q: quantity_html(q.value, q.expanded, q.unit)),
+        page_column("mass", lambda q: quantity_text(q.value, q.expanded, q.unit)),
         page_column("U relative / %", lambda q: small(100.0 * q.expanded / abs(q.value))),
         page_column("k", lambda q: factor_text(q.k)),
         page_column("dof", lambda q: degrees_of_freedom(q.dof)),
@@ -237,7 +241,7 @@ def differences_table(evaluation: RotationEvaluation) -> Table | None:
     columns: list[TableColumn[RotationQuantity]] = [
         page_column("difference", lambda q: capitalise(q.label), "l"),
         page_column("by", lambda q: q.component, "l"),
-        page_column("value", lambda q: quantity_html(*_in_small_unit(q))),
+        page_column("value", lambda q: quantity_text(*_in_small_unit(q))),
         page_column("k", lambda q: factor_text(q.k)),
         page_column("over its U", over_its_u),
     ]
@@ -249,7 +253,7 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
 
     def coordinate(axis: str) -> TableColumn[dict[str, RotationQuantity]]:
         def cell(by_axis: dict[str, RotationQuantity]) -> str:
-            return quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH
+            return quantity_text(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH
 
         return page_column(axis, cell)
 
@@ -267,7 +271,7 @@ def recordings_table(evaluation: RotationEvaluation) -> Table | None:
     def weight(by: str) -> TableColumn[RotationRecording]:
         def cell(recording: RotationRecording) -> str:
             q = evaluation.find("weight", by, recording.name)
-            return DASH if q is None else quantity_html(q.value, q.expanded)
+            return DASH if q is None else quantity_text(q.value, q.expanded)
 
         return page_column("weight / N" if by == JOINT else f"by {by} / N", cell)
 
@@ -291,9 +295,9 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
         for name, mounting in zip(scatter.recordings, scatter.mountings, strict=True):
             weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
             if weight is not None and off is not None:
-                deviation = quantity_html(MILLI * off.value, MILLI * off.expanded)
+                deviation = quantity_text(MILLI * off.value, MILLI * off.expanded)
                 over = signed_text(off.value / off.expanded) if off.u > 0.0 else DASH
-                value = quantity_html(weight.value, weight.expanded)
+                value = quantity_text(weight.value, weight.expanded)
                 rows.append((scatter.state, mounting, name, value, deviation, over))
     caption = "Repeats: weight in air with U, deviation from the mean"
     head = ("state", "mounting", "recording", "weight / N", "minus mean / mN", "over its U")
@@ -319,20 +323,24 @@ def harmonics_table(evaluation: RotationEvaluation, recording: RotationRecording
     """Return the terms of some load components with U, small amplitudes as bounds."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
+
+    def bound(size: float) -> str:
+        return round_to_uncertainty(size, size, 0).expanded
+
     offsets = [q for q in evaluation.quantities if (q.name, q.recording) == ("offset", recording.name)]
     for q in (*offsets, *_terms(recording)):
         if q.component in components:
             bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
-            cell = f"< {short(q.expanded)}" if bound_only else quantity_html(q.value, q.expanded)
+            cell = f"< {bound(q.expanded)}" if bound_only else scaled_text(q.value, q.expanded)
             rows.setdefault(capitalise(q.label), []).append(cell)
     calibration = recording.inverse[indices]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
-    rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
+    rows["Scatter s of a reading"] = [bound(float(s)) for s in scatter]
     back = np.zeros((0, len(components)))
     if isinstance(fit, AngleFit):
         back = np.abs(fit.reversal().difference @ calibration.T)
     if len(back):
-        rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
+        rows["Largest difference forward less back"] = [bound(float(value)) for value in back.max(axis=0)]
     heads = [over_unit(component, typeset(LOAD_UNITS[indices[0]])) for component in components]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
     if isinstance(fit, OrientationFit):
@@ -347,7 +355,7 @@ def axis_table(evaluation: RotationEvaluation) -> Table | None:
         page_column("recording", lambda q: q.recording, "l"),
         page_column("quantity", lambda q: capitalise(q.label), "l"),
         page_column("component", lambda q: q.component, "l"),
-        page_column("value / mrad", lambda q: quantity_html(*_in_small_unit(q)[:2])),
+        page_column("value / mrad", lambda q: quantity_text(*_in_small_unit(q)[:2])),
         page_column("k", lambda q: factor_text(q.k)),
     ]
     standing = [q for q in evaluation.quantities if q.name in STANDING]
@@ -380,7 +388,7 @@ def surroundings_table(evaluation: RotationEvaluation) -> Table | None:
     """Return gravity and air density."""
     columns: list[TableColumn[tuple[str, SourcedValue]]] = [
         page_column("quantity", lambda row: row[0], "l"),
-        page_column("value", lambda row: quantity_html(row[1].value, 2.0 * row[1].u)),
+        page_column("value", lambda row: quantity_text(row[1].value, 2.0 * row[1].u)),
         page_column("source", lambda row: row[1].source, "l"),
     ]
     around = [("Local gravity / (m/s²)", evaluation.gravity), ("Density of the air / (kg/m³)", evaluation.air)]

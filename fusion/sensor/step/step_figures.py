@@ -25,9 +25,9 @@ from fusion.report.figure import (
 )
 from fusion.sensor.step.step_pool import PooledModel
 from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
-from shaker.labels import typeset
 from shaker.lti.system import ModalModel
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.digits import number_text, typeset
 
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
@@ -111,7 +111,7 @@ def draw_devices(name: str, component: StepComponent) -> Figure:
         shown = (time >= -0.1 * span) & (time <= span)
         level = record.samples[record.channels.index(release.driven)][shown]
         share = (level - reading.baseline) / (reading.steady - reading.baseline)
-        label = f"{device.name}, {MILLI * device.kind.length.mean:.3g} ms"
+        label = f"{device.name}, {number_text(MILLI * device.kind.length.mean)} ms"
         colour = COLOURS[index % len(COLOURS)]
         panel.line(MILLI * time[shown], share, label, colour=colour, width=0.9)
     panel.x.label, panel.y.label = "time since the onset / ms", "share of the change"
@@ -150,7 +150,7 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
     for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
         end = component.find(index)
         if end is not None and np.isfinite(end.value):
-            upper.rule(end.value, f"{label} up to {end.value:.4g} Hz", along="x", colour=colour, width=1.0)
+            upper.rule(end.value, f"{label} up to {number_text(end.value, 4)} Hz", along="x", colour=colour, width=1.0)
     upper.rule(1.0, colour=LIGHT)
     upper.points(measured_hz, np.abs(measured), "releases", colour=BLUE, size=2.0)
     draw_response(

@@ -11,11 +11,10 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2, MILLI, PERCENT, round_to_uncertainty
+from fusion.base import K2, MILLI, PERCENT
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.coverage import NamedQuantity, RealQuantity, coverage_factor
 from fusion.recording.load import load_for_command
-from fusion.report.figure import power_text
 from fusion.report.folder import CommandReport, subject_of
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.table import (
@@ -27,13 +26,8 @@ from fusion.report.table import (
     csv_text,
     degrees_of_freedom,
     factor_text,
-    number,
     page_column,
     quantity_columns,
-    quantity_html,
-    quantity_text,
-    short,
-    signed_text,
     table,
     text_column,
 )
@@ -51,10 +45,18 @@ from fusion.sensor.step.step_releases import (
     StepRelease,
 )
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, NOT_ASSESSED, budget_table
-from shaker.labels import typeset
 from shaker.release.reading import RepeatedMean
 from shaker.release.record import ReleaseReading, SpectrumPeak
 from shaker.release.step_fit import StepFit
+from shakercal._common.digits import (
+    DASH,
+    number_text,
+    power_text,
+    quantity_text,
+    round_to_uncertainty,
+    signed_text,
+    typeset,
+)
 
 # Tables in files
 
@@ -342,8 +344,8 @@ def headlines(evaluation: StepEvaluation) -> list[Headline]:
     for component in evaluation.components:
         frequency, damping = component.find("natural_hz"), component.find("damping_ratio")
         if frequency is not None and damping is not None:
-            remark = f"ζ = {quantity_html(*_shown(damping))}; U {component.scope}"
-            lines.append(Headline(f"{component.channel}: natural frequency", quantity_html(*_shown(frequency)), remark))
+            remark = f"ζ = {quantity_text(*_shown(damping))}; U {component.scope}"
+            lines.append(Headline(f"{component.channel}: natural frequency", quantity_text(*_shown(frequency)), remark))
     return lines[:MANY_HEADLINES]
 
 
@@ -356,7 +358,7 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
     def index(name: str, head: str) -> TableColumn[StepComponent]:
         def shown(component: StepComponent) -> str:
             quantity = component.find(name)
-            return DASH if quantity is None else quantity_html(*_shown(quantity)[:2])
+            return DASH if quantity is None else quantity_text(*_shown(quantity)[:2])
 
         return page_column(head, shown)
 
@@ -373,7 +375,7 @@ def quantities_table(head: str, what: str, quantities: Sequence[NamedQuantity], 
 
     columns: list[TableColumn[NamedQuantity]] = [
         page_column(head, lambda one: capitalise(one.label), "l"),
-        page_column("value", lambda one: quantity_html(*_shown(one))),
+        page_column("value", lambda one: quantity_text(*_shown(one))),
         page_column("interval of 95 %", _interval_text),
         page_column("k", if_finite(lambda one: factor_text(one.k))),
         page_column("dof", if_finite(lambda one: degrees_of_freedom(one.dof))),
@@ -397,7 +399,7 @@ def releases_table(component: StepComponent) -> Table | None:
 
     def mode(fit: StepFit) -> tuple[str, str]:
         hz, u_hz, damping, u_damping = lowest_mode(fit)
-        return quantity_html(hz, K2 * u_hz), quantity_html(PERCENT * damping, K2 * PERCENT * u_damping)
+        return quantity_text(hz, K2 * u_hz), quantity_text(PERCENT * damping, K2 * PERCENT * u_damping)
 
     def gain(release: StepRelease) -> str:
         return quantity_text(scale * release.reading.static_gain, K2 * scale * release.reading.u_static_gain)
@@ -406,8 +408,8 @@ def releases_table(component: StepComponent) -> Table | None:
     columns: list[TableColumn[StepRelease]] = [
         page_column("recording", lambda release: release.name, "l"),
         page_column("released by", lambda release: release.record.release or DASH, "l"),
-        page_column("rise / ms", lambda r: quantity_html(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
-        of_fit("release / ms", lambda fit: quantity_html(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
+        page_column("rise / ms", lambda r: quantity_text(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
+        of_fit("release / ms", lambda fit: quantity_text(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
         page_column(f"static gain / {unit}", gain),
         of_fit(NATURAL, lambda fit: mode(fit)[0]),
         of_fit("ζ / %", lambda fit: mode(fit)[1]),
@@ -421,10 +423,10 @@ def ropes_table(component: StepComponent) -> Table | None:
     """Return rise, duration and repeatability of every release device; None of a single release."""
 
     def mean(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
-        return lambda device: quantity_html(*_mean_ms(of(device)))
+        return lambda device: quantity_text(*_mean_ms(of(device)))
 
     def scatter(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
-        return lambda device: short(MILLI * of(device).repeatability)
+        return lambda device: number_text(MILLI * of(device).repeatability, 2)
 
     columns: list[TableColumn[ReleaseDevice]] = [
         page_column("released by", lambda device: device.name, "l"),
@@ -487,8 +489,8 @@ def methods_table(component: StepComponent) -> Table | None:
         index("±5 % to / Hz", "band_5_hz", ".1f"),
         page_column("stable", lambda by: yes_or_no(by.row.fit.system.stable), "l"),
         page_column("fit / %", lambda by: signed_text(PERCENT * by.row.fit.variance_accounted, ".3f")),
-        page_column(f"residual, r.m.s. / ({unit})", lambda by: short(residual_rms(by.row.fit))),
-        page_column("time / s", lambda by: number(by.row.fit.duration_s)),
+        page_column(f"residual, r.m.s. / ({unit})", lambda by: number_text(residual_rms(by.row.fit), 2)),
+        page_column("time / s", lambda by: number_text(by.row.fit.duration_s)),
     ]
     return table("Methods", columns, (ByMethod(component, row) for row in component.methods))
 
@@ -522,7 +524,7 @@ def _interval_text(quantity: NamedQuantity) -> str:
         return DASH
     value, _, unit = _shown(quantity)
     scale = value / quantity.value if quantity.value else 1.0
-    return f"{scale * quantity.low:.4g} … {scale * quantity.high:.4g} {unit}"
+    return f"{number_text(scale * quantity.low, 4)} … {number_text(scale * quantity.high, 4)} {unit}"
 
 
 def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
@@ -537,7 +539,7 @@ def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
     seconds = [found[1] for found in peaks if len(found) > 1]
     if 2 * len(seconds) < len(peaks) or not seconds:
         return first, DASH, DASH
-    return first, _mean_peak(seconds), number(PERCENT * float(np.mean([peak.share for peak in seconds])))
+    return first, _mean_peak(seconds), number_text(PERCENT * float(np.mean([peak.share for peak in seconds])))
 
 
 def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
@@ -548,7 +550,7 @@ def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
     u_reading = float(np.sqrt(np.mean([peak.u_frequency_hz**2 for peak in peaks])))
     spread = float(np.std(value, ddof=1)) if len(peaks) > 1 else 0.0
     k = coverage_factor(len(peaks) - 1.0) if spread > u_reading else K2
-    return quantity_html(float(value.mean()), k * max(u_reading, spread) / len(peaks) ** 0.5)
+    return quantity_text(float(value.mean()), k * max(u_reading, spread) / len(peaks) ** 0.5)
 
 
 def _gain_scale(component: StepComponent) -> tuple[float, str]:

@@ -30,19 +30,7 @@ from fusion.report.figure import (
 )
 from fusion.report.folder import CommandReport
 from fusion.report.h5 import write_value
-from fusion.report.table import (
-    Headline,
-    Table,
-    TableColumn,
-    columns_of,
-    csv_text,
-    page_column,
-    polar_columns,
-    quantity_html,
-    quantity_text,
-    small,
-    table,
-)
+from fusion.report.table import Headline, Table, TableColumn, columns_of, csv_text, page_column, polar_columns, table
 from fusion.sensor.transfer.transfer_evaluation import evaluate_transfer
 from fusion.sensor.transfer.transfer_records import (
     FoundResonance,
@@ -53,8 +41,8 @@ from fusion.sensor.transfer.transfer_records import (
 )
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, NOT_ASSESSED, stated_influences
 from shaker.frf.result import TransferFunction
-from shaker.labels import typeset
 from shakercal._common.arrays import FloatArray
+from shakercal._common.digits import number_text, quantity_text, scaled_text, small, typeset
 
 LARGEST_PERCENT = 100.0
 REJECTED = "model refuted by the data"
@@ -139,7 +127,7 @@ CURVES: list[TableColumn[TransferCurve]] = [
     page_column("estimator", lambda curve: curve.transfer.estimator, "l"),
     page_column("lines", lambda curve: f"{len(curve.transfer.ratio.frequency_hz)}"),
     page_column("band / Hz", lambda curve: curve.band),
-    page_column("spacing / Hz", lambda curve: f"{curve.transfer.line_spacing_hz:.6g}"),
+    page_column("spacing / Hz", lambda curve: number_text(curve.transfer.line_spacing_hz, 6)),
     page_column("U(|H|) / %, median", lambda curve: small(100.0 * curve.U_relative)),
     page_column("U(phase) / mrad, median", lambda curve: small(1e3 * curve.U_phase_rad)),
     page_column("smallest coherence", lambda curve: f"{curve.coherence:.4f}"),
@@ -157,7 +145,7 @@ def _over(found: FoundResonance) -> str:
 
 def _damping(found: FoundResonance, unit: str = "") -> str:
     """Return the damping ratio in % with U (k = 2)."""
-    return quantity_html(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
+    return quantity_text(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
 
 
 def _relative_damping(found: FoundResonance) -> float:
@@ -167,11 +155,13 @@ def _relative_damping(found: FoundResonance) -> float:
 
 RESONANCES: list[TableColumn[FoundResonance]] = [
     page_column("curve", _over, "l"),
-    page_column("f₀ / Hz", lambda found: quantity_html(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
+    page_column("f₀ / Hz", lambda found: quantity_text(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
     page_column("damping ratio ζ / %", _damping),
-    page_column("quality Q", lambda r: quantity_html(r.fit.quality, r.fit.quality * _relative_damping(r))),
+    page_column("quality Q", lambda r: quantity_text(r.fit.quality, r.fit.quality * _relative_damping(r))),
     page_column("fitted as", lambda found: f"{found.fit.kind}, {found.fit.law}", "l"),
-    page_column("lines / Hz", lambda found: f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}"),
+    page_column(
+        "lines / Hz", lambda found: f"{number_text(found.band_hz[0], 6)} to {number_text(found.band_hz[1], 6)}"
+    ),
     page_column("χ² per dof", lambda found: f"{found.fit.chi_squared / found.fit.dof:.2f}"),
 ]
 
@@ -181,12 +171,14 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
     lines = []
     for found in resonances(evaluation)[:3]:
         fit = found.fit
-        value = quantity_html(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
+        value = quantity_text(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
-        remarks = [f"U (k = 2) = {u:.2g} %" for u in (u_frequency, 100.0 * _relative_damping(found))]
+        remarks = [f"U (k = 2) = {number_text(u, 2)} %" for u in (u_frequency, 100.0 * _relative_damping(found))]
         remarks = remarks if np.isfinite(u_frequency) else [REJECTED] * 2
         lines.append(Headline(f"Resonance of {_over(found)}", value, remarks[0]))
-        lines.append(Headline("Damping ratio ζ", _damping(found, "%"), f"Q = {fit.quality:.5g}; {remarks[1]}"))
+        lines.append(
+            Headline("Damping ratio ζ", _damping(found, "%"), f"Q = {number_text(fit.quality, 5)}; {remarks[1]}")
+        )
     return lines
 
 
@@ -194,7 +186,9 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
     """Yield the printed lines: curves with U (95 %), resonances with U (k = 2)."""
     for curve in curves(evaluation):
         lines = f"{curve.transfer.estimator}, {len(curve.transfer.ratio.frequency_hz)} lines from {curve.band} Hz"
-        median = f"{100.0 * curve.U_relative:.2g} % and {1e3 * curve.U_phase_rad:.2g} mrad (95 %)"
+        median = (
+            f"{number_text(100.0 * curve.U_relative, 2)} % and {number_text(1e3 * curve.U_phase_rad, 2)} mrad (95 %)"
+        )
         yield f"{curve.name} [{curve.unit}]: {lines}, median U {median}"
     for found in resonances(evaluation):
         fit = found.fit
@@ -214,7 +208,7 @@ def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
     total = (1e6 * found.u_frequency_hz / fit.frequency_hz, 100.0 * found.u_damping_ratio / fit.damping_ratio)
     rows += [(CAUSE_LABELS[cause], NOT_ASSESSED, NOT_ASSESSED) for cause in missing]
     rows.append(("combined, k = 1", *map(small, total)))
-    caption = f"Budget of the resonance of {_over(found)} at {fit.frequency_hz:.6g} Hz"
+    caption = f"Budget of the resonance of {_over(found)} at {number_text(fit.frequency_hz, 6)} Hz"
     return Table(caption, ("contribution", "u(f₀) / 10⁻⁶ f₀", "u(ζ) / % of ζ"), "lrr", tuple(rows))
 
 
@@ -224,9 +218,9 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     influences = stated_influences(evaluation.manifest.rig, [evaluation.manifest.mounting])
     excited: list[str] = [excitation.kind]
     if excitation.band is not None:
-        excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
+        excited.append(f"{number_text(excitation.band[0], 6)} to {number_text(excitation.band[1], 6)} Hz")
     if excitation.period is not None:
-        excited.append(f"period {excitation.period:g} s, {excitation.settle_periods} left out to settle")
+        excited.append(f"period {number_text(excitation.period, 6)} s, {excitation.settle_periods} left out to settle")
     further = len(evaluation.manifest.daq[0].further_files)
     if further:
         excited.append(f"{1 + further} files")
@@ -258,9 +252,12 @@ CHANNELS: list[TableColumn[tuple[str, ChannelEntry]]] = [
     page_column("channel", lambda row: row[1].name, "l"),
     page_column("DAQ", lambda row: row[0], "l"),
     page_column("quantity", lambda row: row[1].quantity, "l"),
-    page_column("scale", lambda row: f"{row[1].scale:g}"),
-    page_column("u(scale) / %", lambda row: f"{100.0 * row[1].scale_uncertainty:g}"),
-    page_column("delay ± u / µs", lambda row: f"{1e6 * row[1].delay:g} ± {1e6 * row[1].delay_uncertainty:g}"),
+    page_column("scale", lambda row: number_text(row[1].scale, 6)),
+    page_column("u(scale) / %", lambda row: number_text(100.0 * row[1].scale_uncertainty, 6)),
+    page_column(
+        "delay ± u / µs",
+        lambda row: scaled_text(1e6 * row[1].delay, 1e6 * row[1].delay_uncertainty),
+    ),
     page_column("corrected response", lambda row: row[1].response.name if row[1].response else "none stated", "l"),
 ]
 
