@@ -24,7 +24,6 @@ operator = "Æsa 王"
 authoriser = "B. Leader"
 method = "Sinusoidal calibration on a shaker"
 traceability = "Mass by certificate M-1"
-warnings_reviewed = true
 [laboratory]
 name = "Söhne <&\\"'> </script>"
 city = "Braunschweig"
@@ -37,9 +36,42 @@ country = "NO"
 manufacturer = "Maker"
 model = "W6"
 condition = "without visible damage"
+axes = "z out of the flange of the load"
+[amplifier]
+name = "Bridge amplifier 7"
+supply = "5 V, 225 Hz"
+[mounting]
+description = "adapter plate, 8 screws M6"
+torque = "10 N m"
+[conditions]
+temperature = [22.8, 23.3]
+humidity = [0.40, 0.46]
+[[equipment]]
+use = "reference"
+name = "load mass"
+identification = "no. 3"
+certificate = "M-1"
+laboratory = "Mass laboratory"
+[[equipment]]
+use = "measuring"
+name = "laser vibrometer"
+identification = "no. 17"
+certificate = "V-3"
+laboratory = "Vibration laboratory"
+valid_until = 2028-02-02
 [conformity]
 tolerance = 0.02
 """
+
+
+def acknowledged(*codes: str) -> str:
+    """The tables of certificate.toml that acknowledge kinds of notices."""
+    return "".join(
+        f'[[acknowledged]]\ncode = "{code}"\nreason = "reviewed"\nby = "B. Leader"\ndate = 2026-11-21\n'
+        for code in codes
+    )
+
+
 SCH = {"sch": "http://purl.oclc.org/dsdl/schematron"}
 
 

@@ -261,6 +261,8 @@ def _certificate_options(parser: Parser) -> None:
         "results of run, rotate, identify or step (default: results in the folder, else that of a command)",
     )
     parser.switch("--draft", "only write a certificate.toml to fill in")
+    parser.switch("--verify", "only report who signed what of a certificate.xml, named instead of the recording")
+    parser.switch("--specimen", "a specimen of simulated recordings, marked on every page and in the XML")
     parser.results("folder certificate in the recording or campaign")
 
 
@@ -268,7 +270,11 @@ def _certificate_options(parser: Parser) -> None:
 def certificate(options: argparse.Namespace) -> None:
     """Write the calibration certificate of a recording or campaign, as XML (DCC) and page."""
     from fusion.sensor.certificate.certificate_report import run_certificate, write_form
+    from fusion.sensor.certificate.certificate_verification import verify_certificate
 
+    if options.verify:
+        verify_certificate(options.recording)
+        return
     if options.draft:
         write_form(options.form or options.recording, options.results)
         return
@@ -279,6 +285,7 @@ def certificate(options: argparse.Namespace) -> None:
         options.form,
         force=options.force,
         allow_outside=options.allow_outside,
+        specimen=options.specimen,
     )
 
 

@@ -39,6 +39,8 @@ MOST_QUANTITIES = 10_000  # certificates have some 100
 CACHE_SIZE = 32  # certificates
 KINDS = ("real", "realList", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
 """Elements of the D-SI with the values of a quantity."""
+TABLE_INDEX = re.compile(r"\bbasic_tableIndex\d+")
+"""Type of a quantity that numbers the rows of a table."""
 LIST_UNCERTAINTY = ("listMeasurementUncertaintyUnivariate", "listUnivariateUnc")
 SIGNED = ("{*}administrativeData", "{*}measurementResults")
 """Parts of a certificate that a signature has to cover."""
@@ -55,8 +57,9 @@ class CertifiedQuantity:
 
     `expanded`, `k`, `probability`: (N,) each, NaN if not stated. `covariance` (N, 2, 2): of real and imaginary part of
     complex values. `types`: words of its `refType`. `where`: result and quantity as text. `listed`: part of a list.
-    `ids`: of the quantity, its result and its data. `names`: in every language. `problem`: the error of unusable
-    numbers, else None. Such a quantity has no values, and `NO_UNIT` if its unit is not recognised.
+    `ids`: of the quantity, its result and its data. `names`: in every language. `rows` (N,): of a table with names as
+    indices, joined by "per"; else empty. `problem`: the error of unusable numbers, else None. Such a quantity has no
+    values, and `NO_UNIT` if its unit is not recognised.
     """
 
     result: str
@@ -74,6 +77,7 @@ class CertifiedQuantity:
     ids: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     description: str = ""
+    rows: tuple[str, ...] = ()
     problem: InputError | None = None
 
     @property
@@ -104,6 +108,15 @@ class CertifiedQuantity:
             return None
         factor = other.factor / self.unit.factor
         return replace(self, unit=other, value=self.value * factor, expanded=self.expanded * factor)
+
+    def at_row(self, row: str) -> CertifiedQuantity:
+        """Return the quantity in the rows of a name; its result has this name, too."""
+        if len(self.rows) != len(self.value):
+            return self
+        rows = np.array(self.rows) == row
+        cut = {name: getattr(self, name)[rows] for name in ("value", "expanded", "k", "probability")}
+        covariance = None if self.covariance is None else self.covariance[rows]
+        return replace(self, **cut, covariance=covariance, rows=(), result=f"{self.result}, {row}")
 
     def usable(self) -> CertifiedQuantity:
         """Return the quantity; raise the error of its numbers."""
@@ -290,8 +303,21 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
                     found = _quantity(path, result, element, values)
                     sources = (result, data, element, *element.iterfind("{*}name/{*}content"))
                     ids = tuple(name for name in (source.get("id") for source in sources) if name)
-                    yield replace(found, group=element_group, ids=ids)
+                    rows = _rows(element.getparent()) if element_group else ()
+                    yield replace(found, group=element_group, ids=ids, rows=rows)
         group += 1
+
+
+def _rows(table: Any) -> tuple[str, ...]:
+    """Return the names of a table's rows by its indices of texts, if any."""
+    indices = [
+        (match[0], (texts.text or "").split())
+        for quantity in table.iterfind("{*}quantity")
+        if (match := TABLE_INDEX.search(quantity.get("refType") or "")) is not None
+        and (texts := quantity.find("{*}charsXMLList")) is not None
+    ]
+    named = [texts for _, texts in sorted(indices)]
+    return tuple(map(" per ".join, zip(*named, strict=True))) if len(set(map(len, named))) == 1 else ()
 
 
 def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQuantity:

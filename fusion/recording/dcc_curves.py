@@ -92,9 +92,10 @@ def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCu
 
 def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
     """Yield every list over frequency of a certificate, including unusable ones."""
-    groups: dict[int, list[CertifiedQuantity]] = {}
+    groups: dict[tuple[int, str], list[CertifiedQuantity]] = {}
     for quantity in certificate.quantities:
-        groups.setdefault(quantity.group, []).append(quantity)
+        for row in dict.fromkeys(quantity.rows) or ("",):
+            groups.setdefault((quantity.group, row), []).append(quantity.at_row(row) if row else quantity)
     for members in groups.values():
         frequencies = [q for q in members if q.unit.dimension in (HERTZ, ()) and any(w in q.words for w in FREQUENCY)]
         plain = [q for q in members if q.unit.dimension == HERTZ and not q.unit.angle]
@@ -175,6 +176,8 @@ def _curve(
     sizes = [*(transducers or responses[0] or responses[1]), *unknown] or sizes
     size = _one_of(certificate, "magnitude", sizes, MAGNITUDE)
     whole = next((q for q in rest if not q.is_real), None)
+    if size is not None and whole is not None and np.isnan(size.value).any():
+        size = None  # the complex values are complete
     if size is None and whole is None:
         return None
     frequency = _one_of(

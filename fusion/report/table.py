@@ -239,7 +239,7 @@ def half_axes(region: CoverageRegion, exponent: int | None = None) -> str:
         return DASH
     large, small_axis = region.half_axes
     first = round_to_uncertainty(large, large, exponent)
-    second = round_to_uncertainty(small_axis, large, first.exponent)
+    second = round_to_uncertainty(small_axis, small_axis, first.exponent)
     text = f"region ± {first.value}, ± {second.value}"
     return f"({text}) × {power_text(first.exponent)}" if exponent is None and first.exponent else text
 

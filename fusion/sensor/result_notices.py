@@ -180,9 +180,11 @@ PHASES_OPPOSITE = DeclaredNotice(
 WARNINGS_NOT_REVIEWED = DeclaredNotice(
     "SC-780",
     "error",
-    "expected true, or results without warnings, found {count} warnings that are not reviewed, the first: {first}",
-    effect="A certificate states only results whose warnings were reviewed.",
-    remedy="Let the authoriser review the warnings, and set the key to true.",
+    "expected an acknowledgement of every kind of warning, found {count} warnings without one: {codes}; the first is "
+    "{first}",
+    effect="A certificate states only results whose warnings the authoriser has reviewed.",
+    remedy="Let the authoriser review the warnings, and state code, reason, name and date in `[[acknowledged]]` of "
+    "certificate.toml, rig.toml or recording.toml.",
     link="certificate.md",
 )
 OUTDATED_RESULTS = DeclaredNotice(
@@ -249,5 +251,59 @@ UNIT_WITHOUT_DSI = DeclaredNotice(
     'expected a unit made of V, A, C, N, m and similar ones, such as mV/V, found "{found}"',
     effect="The unit cannot be written in the D-SI format of the certificate.",
     remedy="State another unit of the sensor.",
+    link="certificate.md",
+)
+SIMULATED_RECORDINGS = DeclaredNotice(
+    "SC-961",
+    "error",
+    "expected measured recordings, found {count} of {total} simulated",
+    effect="No item was calibrated.",
+    remedy="Use `--specimen` for a page and a file that are marked as a specimen.",
+    link="certificate.md",
+)
+UNNAMED_SENSOR = DeclaredNotice(
+    "SC-962",
+    "error",
+    'expected the name of the item, found "{found}", as `shakercal init` drafts it',
+    remedy="State the name of the sensor, and evaluate again.",
+    link="certificate.md",
+)
+RECEIVED_AFTER_CALIBRATION = DeclaredNotice(
+    "SC-963",
+    "error",
+    "expected a day not after {first}, the first day of the calibration, found {found}",
+    remedy="Correct the day of receipt, or the days of the calibration.",
+    link="certificate.md",
+)
+CERTIFICATE_REFUSED = DeclaredNotice(
+    "SC-964",
+    "error",
+    "expected nothing that refuses a certificate, found {count} reasons: {problems}",
+    effect="No certificate is written.",
+    remedy="Correct all of them.",
+    link="certificate.md",
+)
+NOT_A_SPECIMEN = DeclaredNotice(
+    "SC-965",
+    "error",
+    "expected simulated recordings for a specimen, found measured ones",
+    effect="A specimen certifies nothing.",
+    remedy="Omit `--specimen`.",
+    link="certificate.md",
+)
+WRONG_SIGNATURE = DeclaredNotice(
+    "SC-966",
+    "error",
+    "expected a signature by the key of the X.509 certificate in it, found another one ({reason})",
+    effect="The signer is not the one that the file states.",
+    remedy="Ask the laboratory for the original file.",
+    link="certificate.md",
+)
+OTHER_PAGE = DeclaredNotice(
+    "SC-967",
+    "error",
+    "expected the page whose hash the XML states, found a page with another one",
+    effect="What people read may differ from what was certified.",
+    remedy="Ask the laboratory for the original page.",
     link="certificate.md",
 )

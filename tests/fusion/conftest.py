@@ -117,6 +117,7 @@ COMMANDS = {
     "chirp": "transfer",
     "masses": "identify",
     "elastomer": "elastomer",
+    "matrix": "run",
 }
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from certificates import FORM, NAMES, SCHEMA, broken_rules, texts
+from browsing import Page
+from certificates import FORM, NAMES, SCHEMA, acknowledged, broken_rules, texts
 from lxml import etree
 from support import DOCS, RefusedCommand, edit, examples, rows, without_pages
 
@@ -22,9 +25,11 @@ from fusion.report.folder import hash_files
 from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor import result_notices as raised
-from fusion.sensor.certificate.certificate_evaluation import Certificate, _not_assessed, evaluate_certificate
-from fusion.sensor.certificate.certificate_inputs import NEW_FORM
-from fusion.sensor.certificate.certificate_report import certificate_page, certificate_xml
+from fusion.sensor.certificate.certificate_content import Certificate
+from fusion.sensor.certificate.certificate_evaluation import _not_assessed, evaluate_certificate
+from fusion.sensor.certificate.certificate_form import METHOD, NEW_FORM
+from fusion.sensor.certificate.certificate_page import certificate_page
+from fusion.sensor.certificate.certificate_xml import certificate_xml
 from fusion.sensor.compare.comparison_inputs import read_result
 from fusion.sensor.unmodelled_effects import coverage_notice
 from shakercal._common.notices import Notice
@@ -32,15 +37,18 @@ from shakercal._common.notices import Notice
 
 @pytest.fixture(scope="module")
 def evaluated(demo_recording: Path, demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The demo with its results and a filled certificate.toml."""
+    """The demo, as if measured, with its results and a filled certificate.toml."""
     folder = tmp_path_factory.mktemp("evaluated") / "demo"
     shutil.copytree(demo_recording, folder)
+    (folder / "Fz-0080" / "truth.json").unlink()
+    edit(folder / "Fz-0080" / "recording.toml", ", simulated", "")
     manifest = load_manifest(folder / "Fz-0080")
     hashes = hash_files(manifest.files, manifest.root).hashes
     with pytest.MonkeyPatch.context() as patch:
         without_pages(patch)
         write_results(replace(demo_evaluation, input_hashes=hashes), folder / "results" / "Fz-0080")
-    (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
+    codes = {notice.code for notice in demo_evaluation.notices if notice.severity == "warning"}
+    (folder / "certificate.toml").write_text(FORM + acknowledged(*sorted(codes)), encoding="utf-8")
     return folder
 
 
@@ -128,10 +136,10 @@ def test_missing_entries_are_one_list(campaign: Path, refused: RefusedCommand) -
     (campaign / "certificate.toml").unlink()
     assert f"{raised.NO_CERTIFICATE_FORM.code} {campaign / 'certificate.toml'}: " in refused("certificate", campaign)
     assert main(["certificate", str(campaign), "--draft"]) == 0
-    assert (campaign / "certificate.toml").read_text(encoding="utf-8") == NEW_FORM
+    assert (campaign / "certificate.toml").read_text(encoding="utf-8") == NEW_FORM.replace("METHOD", METHOD)
     refusal = refused("certificate", campaign)
     assert f"{raised.MISSING_CERTIFICATE_ENTRIES.code} " in refusal
-    keys = ("number", "operator", "begun", "traceability")
+    keys = ("number", "operator", "begun", "issued")
     for key in (*(f"administration.{key}" for key in keys), "laboratory.name", "customer.city", "item.model"):
         assert key in refusal
     assert f"{campaign / 'certificate.toml'}: " in refused("certificate", campaign, "--draft")
@@ -212,7 +220,8 @@ def test_effects_that_u_does_not_include_are_stated_once() -> None:
         for severity, text in (("info", "not assessed, not in U: cables"), ("warning", "clipped"))
     ]
     found = _not_assessed([*delayed, aliases, blur, of_scope, *older])
-    assert found == (f"{delayed[0].text} {delayed[0].effect}", aliases.text, older[0].text)
+    harmonics = aliases.text.partition(":")[0]
+    assert found == (f"{delayed[0].text} {delayed[0].effect}", harmonics[:1].lower() + harmonics[1:], older[0].text)
 
 
 def many(found: Certificate, count: int) -> Certificate:
@@ -225,13 +234,33 @@ def many(found: Certificate, count: int) -> Certificate:
 
 def test_many_frequencies_make_lists_of_equal_length(certified: tuple[Path, str]) -> None:
     found = many(evaluate_certificate(certified[0]), 200)
-    root = etree.fromstring(certificate_xml(found))
+    root = etree.fromstring(certificate_xml(found, b""))
     lists = root.findall(".//dcc:result//*", NAMES)
     lengths = {
         len(element.text.split()) for element in lists if element.tag.endswith(("valueXMLList", "FactorXMLList"))
     }
     assert lengths == {200}
     assert certificate_page(found).count("<tr>") > 200
+
+
+def test_a_curve_prints_on_three_pages(certified: tuple[Path, str], browser: Any, tmp_path: Path) -> None:
+    """Six outputs at twelve frequencies, with every figure and budget."""
+    found = evaluate_certificate(certified[0])
+    curves = []
+    for element in found.elements:
+        frequencies = [80.0 + 20.0 * index for index in range(12)]
+        values = tuple(replace(element.values[0], frequency_hz=frequency) for frequency in frequencies)
+        points = tuple(replace(element.points[0], frequency_hz=frequency) for frequency in frequencies)
+        lists = {"deviation": element.deviation * 12, "verdicts": element.verdicts * 12}
+        curves.append(replace(element, values=values, points=points, **lists))
+    page = tmp_path / "certificate.html"
+    page.write_text(certificate_page(replace(found, elements=tuple(curves))), encoding="utf-8")
+    opened = Page(browser, page)
+    assert opened.page.locator("figure img").count() == 1
+    opened.page.pdf(path=tmp_path / "certificate.pdf", prefer_css_page_size=True, print_background=True)
+    pages = re.findall(rb"/Type\s*/Page\b(?!s)", (tmp_path / "certificate.pdf").read_bytes())
+    assert 1 < len(pages) <= 3
+    opened.close()
 
 
 @pytest.mark.parametrize(
@@ -257,4 +286,27 @@ def test_an_unknown_unit_is_refused() -> None:
 
 
 def test_the_document_shows_the_draft() -> None:
-    assert NEW_FORM in examples((DOCS / "certificate.md").read_text(encoding="utf-8"))
+    assert NEW_FORM.replace("METHOD", METHOD) in examples((DOCS / "certificate.md").read_text(encoding="utf-8"))
+
+
+def test_every_clause_of_the_auditors_list_is_found_in_the_xml(certified: tuple[Path, str]) -> None:
+    """Clauses of ISO/IEC 17025:2017, 7.8.2.1 a to p and 7.8.4.1 a to f; each element that the list names exists."""
+    document = (DOCS / "certificate.md").read_text(encoding="utf-8").partition("## An auditor's list")[2]
+    table = [
+        line.strip("|").split("|") for line in document.partition("\n## ")[0].splitlines() if line.startswith("| ")
+    ]
+    clauses = [row[0].strip() for row in table[1:]]
+    general, calibration = clauses.index("7.8.2.1 a"), clauses.index("7.8.4.1 a")
+    assert clauses[general : general + 16] == ["7.8.2.1 a", *"bcdefghijklmnop"]
+    assert clauses[calibration : calibration + 6] == ["7.8.4.1 a", *"bcdef"]
+    root = etree.parse(certified[0] / "certificate" / "certificate.xml").getroot()
+    tags = {etree.QName(element).localname for element in root.iter(etree.Element)}
+    names = {name for row in table[1:] for name in re.findall(r"`(\w+)`", row[-1])}
+    assert len(names) > 15
+    assert names <= tags, names - tags
+    statements = set(texts(root, ".//dcc:statement/dcc:name/dcc:content"))
+    page = (certified[0] / "certificate" / "certificate.html").read_text(encoding="utf-8")
+    for row in table[1:]:
+        for name in re.findall(r"Statements, (\w+(?: \w+)?)", row[3]):
+            assert name == "Remarks" or name in statements, name
+            assert name == "Remarks" or f"<dt>{name}</dt>" in page, name

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from certificates import FORM, NAMES, SCHEMA, broken_rules, texts
+from certificates import FORM, NAMES, SCHEMA, acknowledged, broken_rules, texts
 from lxml import etree
 from support import RefusedCommand, edit, rows
 
@@ -18,7 +18,7 @@ from fusion.recording.load import load_manifest
 from fusion.sensor import result_notices as raised
 from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS
 
-NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
+NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"') + acknowledged("SC-377")
 RULES = SCHEMA.with_name("dcc.sch")
 
 
@@ -36,7 +36,7 @@ def rotated(commanded: Callable[[str], Path], tmp_path_factory: pytest.TempPathF
 
 def certified(folder: Path, out: Path) -> etree._Element:
     """The root of the certificate's XML."""
-    assert main(["certificate", str(folder), "-o", str(out)]) == 0
+    assert main(["certificate", str(folder), "--specimen", "-o", str(out)]) == 0
     return etree.parse(out / "certificate.xml").getroot()
 
 
@@ -75,7 +75,7 @@ def test_a_certificate_states_the_masses_of_a_rotation_test(rotated, tmp_path, c
         for body in ("internal", "load")
         for name, component in ((f"{body}_mass", "joint"), *((f"{body}_centre_of_mass", axis) for axis in "xyz"))
     ]
-    assert texts(root, ".//si:real/si:unit")[:2] == [r"\kilogram", r"\metre"]
+    assert texts(root, ".//dcc:result//si:real/si:unit")[:2] == [r"\kilogram", r"\metre"]
     assert "Internal centre of mass x" in (tmp_path / "out" / "certificate.html").read_text(encoding="utf-8")
     check_valid(tmp_path / "out" / "certificate.xml")
 
@@ -92,7 +92,7 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
     mass = next(row for row in rows(rotated / "rotate" / "rotation.csv") if row["name"] == "internal_mass")
     assert sensor.internal_mass == float(mass["value"])
     assert sensor.internal_mass_uncertainty == pytest.approx(float(mass["u"]), rel=1e-9)
-    assert read_dcc(tmp_path / "demo" / "mass.xml").number == "2026-0815"
+    assert read_dcc(tmp_path / "demo" / "mass.xml").number == "SPECIMEN 2026-0815"
 
 
 @pytest.mark.slow
@@ -116,7 +116,7 @@ def test_numbers_of_other_commands_are_those_of_their_tables(
     root = certified(folder, tmp_path / "out")
     found, table = stated(root), rows(folder / command / CERTIFIED_COMMANDS[command].table)
     assert [line[0] for line in found[: len(names)]] == names
-    assert texts(root, ".//si:real/si:unit")[: len(units)] == units
+    assert texts(root, ".//dcc:result//si:real/si:unit")[: len(units)] == units
     if command == "step":
         table = [row for row in table if row["channel"] == row["component"]]
         assert "within these" in " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
@@ -152,11 +152,10 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
     assert main(["certificate", str(folder), "--draft"]) == 0
     assert CERTIFIED_COMMANDS["rotate"].method in (folder / "certificate.toml").read_text(encoding="utf-8")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
-    refusal = refused("certificate", folder)
+    refusal = refused("certificate", folder, "--specimen")
     assert f"{raised.MISSING_CERTIFICATE_ENTRIES.code} " in refusal
     assert "item.customer_number" in refusal
     (folder / "certificate.toml").write_text(NUMBERED, encoding="utf-8")
-    edit(folder / "certificate.toml", "warnings_reviewed = true", "")
     table = folder / "rotate" / "rotation.csv"
     good = table.read_text(encoding="utf-8")
     for broken, declared in (
@@ -164,10 +163,10 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
         (good.partition("\n")[0] + "\n", raised.NO_CERTIFIABLE_RESULT),
     ):
         table.write_text(broken, encoding="utf-8")
-        refusal = refused("certificate", folder)
+        refusal = refused("certificate", folder, "--specimen")
         assert f"{declared.code} {table}: " in refusal
     table.write_text(good, encoding="utf-8")
     edit(folder / "rig.toml", "mass = 6.9605", "mass = 6.9606")
-    refusal = refused("certificate", folder)
+    refusal = refused("certificate", folder, "--specimen")
     assert f"{raised.OUTDATED_RESULTS.code} " in refusal
     assert "rig.toml" in refusal

@@ -197,9 +197,10 @@ def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
     from lxml import etree
 
     from fusion.campaign.recording_results import SensorFacts
-    from fusion.sensor.certificate.certificate_evaluation import Certificate, CertifiedElement, CertifiedValue
-    from fusion.sensor.certificate.certificate_inputs import CertifiedNumber, Form, NumberList
-    from fusion.sensor.certificate.certificate_report import DCC, SI, certificate_xml
+    from fusion.sensor.certificate.certificate_content import Certificate, CertifiedElement, CertifiedValue
+    from fusion.sensor.certificate.certificate_form import Form
+    from fusion.sensor.certificate.certificate_inputs import CertifiedNumber, NumberList
+    from fusion.sensor.certificate.certificate_xml import DCC, SI, certificate_xml
 
     k, mass = stated.k, inputs["mass"]
     value = CertifiedValue(
@@ -213,7 +214,7 @@ def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
         numbers=(NumberList("masses", (CertifiedNumber("mass", "mass", mass[0], k * mass[1], k, "kg"),)),),
         warnings=(), not_assessed=(), versions={},
     )  # fmt: skip
-    result = etree.fromstring(certificate_xml(found)).iterfind(f".//{{{DCC}}}quantity")
+    result = etree.fromstring(certificate_xml(found, b"")).iterfind(f".//{{{DCC}}}data/{{{DCC}}}list/{{{DCC}}}quantity")
     frequency, size, turn, complex_value, single = (list(quantity.iter(f"{{{SI}}}*")) for quantity in result)
 
     def numbers(quantity: list[etree._Element], *ends: str) -> list[float]:

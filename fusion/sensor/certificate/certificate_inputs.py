@@ -1,21 +1,17 @@
-"""Inputs of a certificate: certificate.toml, and single numbers of rotate, identify and step."""
+"""Single numbers of a certificate: those of rotate, identify and step."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Literal, Self
 
 import h5py
 import numpy as np
-from pydantic import AfterValidator, model_validator
 
 from fusion.errors import InputError
-from fusion.recording.toml import read_rows, read_toml, validate
-from fusion.recording.values import ManifestBlock, NotNegative, Positive, refusal
+from fusion.recording.toml import read_rows
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import open_results, read_notices
 from fusion.report.table import capitalise
@@ -23,176 +19,6 @@ from fusion.sensor import result_notices as declared
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
 from shakercal._common.notices import Notice
-
-# certificate.toml: the statements of the laboratory, and a template of it.
-
-
-FORM_FILE = "certificate.toml"
-NEW_FORM = """\
-format = 1
-k = "effective"                         # or 2: U = 2 u whatever the degrees of freedom
-
-[administration]
-number = ""                             # of this certificate, unique
-issued = 2026-01-31
-received = 2026-01-15                   # the item's receipt
-# begun = 2026-01-16                    # first and last day of the calibration, where recordings state no date
-# ended = 2026-01-17
-place = "laboratory"                    # laboratory, customer, laboratoryBranch, customerBranch, other
-operator = ""                           # who measured
-authoriser = ""                         # who is responsible for this certificate
-method = "Sinusoidal calibration by inertial forces of a load mass on a shaker"
-# procedure = ""                        # of the laboratory; recording.toml's by default
-# traceability = ""                     # where no input names its certificate: how the results are traceable
-# remarks = ""
-# warnings_reviewed = true              # where the evaluation gives warnings: the authoriser has seen them
-
-[laboratory]
-name = ""
-street = ""
-post_code = ""
-city = ""
-country = "DE"                          # ISO 3166-1, two letters
-# accreditation = ""
-# email = ""
-
-[laboratory.cmc]                        # optional: no U is stated below it
-magnitude = 0.0                         # relative
-phase = 0.0                             # rad
-
-[customer]
-name = ""
-street = ""
-post_code = ""
-city = ""
-country = "DE"
-
-[item]                                  # name and serial number are those of rig.toml's sensor
-manufacturer = ""
-model = ""
-condition = ""                          # as received
-# customer_number = ""                  # the customer's own for it
-
-# [conformity]                          # optional: a statement of conformity of the main elements
-# tolerance = 0.02                      # of the magnitude, relative to the static sensitivity
-# rule = "guarded"                      # "guarded": conforms if |deviation| + U is within; "simple": |deviation| alone
-"""
-"""Template written by `--draft`; empty texts are to be filled in."""
-
-
-def _printable(text: str) -> str:
-    """Refuse characters that XML cannot represent."""
-    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 or ord(letter) in (0xFFFE, 0xFFFF) for letter in text):
-        raise refusal("a text of printable letters", repr(text)[:60])
-    return " ".join(text.split())
-
-
-def _country(code: str) -> str:
-    """Refuse a text that is no country code; empty means not yet stated."""
-    if code and not (len(code) == 2 and code.isascii() and code.isupper()):
-        raise refusal("a country by its two capital letters (ISO 3166-1)", code)
-    return code
-
-
-PrintableText = Annotated[str, AfterValidator(_printable)]
-Country = Annotated[str, AfterValidator(_country)]
-REQUIRED = ("name", "city", "country")
-
-
-class Party(ManifestBlock):
-    """Laboratory or customer: name and address."""
-
-    name: PrintableText = ""
-    street: PrintableText = ""
-    post_code: PrintableText = ""
-    city: PrintableText = ""
-    country: Country = ""
-    email: PrintableText = ""
-
-
-class MeasurementCapability(ManifestBlock):
-    """Calibration and measurement capability: the smallest U of magnitude (relative) and phase (rad)."""
-
-    magnitude: NotNegative = 0.0
-    phase: NotNegative = 0.0
-
-
-class Laboratory(Party):
-    """The calibrating laboratory, with its accreditation and the smallest U that it may state."""
-
-    accreditation: PrintableText = ""
-    cmc: MeasurementCapability = MeasurementCapability()
-
-
-class CalibratedItem(ManifestBlock):
-    """The calibrated item, in addition to name and serial number of the sensor."""
-
-    manufacturer: PrintableText = ""
-    model: PrintableText = ""
-    condition: PrintableText = ""
-    customer_number: PrintableText = ""
-
-
-class CertificateAdministration(ManifestBlock):
-    """Number, days, location and persons of the calibration."""
-
-    number: PrintableText = ""
-    issued: Date | None = None
-    received: Date | None = None
-    begun: Date | None = None
-    ended: Date | None = None
-    place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
-    operator: PrintableText = ""
-    authoriser: PrintableText = ""
-    method: PrintableText = ""
-    procedure: PrintableText = ""
-    traceability: PrintableText = ""
-    remarks: PrintableText = ""
-    warnings_reviewed: bool = False
-
-    @model_validator(mode="after")
-    def _ends_after_it_began(self) -> Self:
-        if self.begun is not None and self.ended is not None and self.ended < self.begun:
-            raise refusal(f"a day from {self.begun} on, when it began", f"{self.ended}", key="ended")
-        return self
-
-
-class Conformity(ManifestBlock):
-    """Limit of the deviation from the static sensitivity, and the decision rule."""
-
-    tolerance: Positive
-    rule: Literal["guarded", "simple"] = "guarded"
-
-
-class Form(ManifestBlock):
-    """certificate.toml."""
-
-    format: Literal[1]
-    k: Literal["effective", 2] = "effective"
-    administration: CertificateAdministration = CertificateAdministration()
-    laboratory: Laboratory = Laboratory()
-    customer: Party = Party()
-    item: CalibratedItem = CalibratedItem()
-    conformity: Conformity | None = None
-
-    def missing(self) -> Iterator[str]:
-        """Yield the required keys that are empty (ISO/IEC 17025:2017, 7.8.2)."""
-        required = {
-            "administration": ("number", "issued", "received", "operator", "authoriser", "method"),
-            "laboratory": REQUIRED,
-            "customer": REQUIRED,
-            "item": ("manufacturer", "model", "condition"),
-        }
-        for table, keys in required.items():
-            yield from (f"{table}.{key}" for key in keys if not getattr(getattr(self, table), key))
-
-
-def read_form(path: Path) -> Form:
-    """Read and check certificate.toml."""
-    if not path.is_file():
-        raise InputError(declared.NO_CERTIFICATE_FORM, path)
-    return validate(Form, read_toml(path), path)
-
 
 # Single numbers, from the tables of rotate, identify and step.
 
@@ -232,14 +58,19 @@ class CertifiedCommand:
 
 CERTIFIED_COMMANDS: Mapping[str, CertifiedCommand] = {
     "rotate": CertifiedCommand(
-        "rotation.csv", "rotation.h5", "Masses and centres of mass", "Rotation in gravity on an indexing head"
+        "rotation.csv", "rotation.h5", "Masses and centres of mass",
+        "The item with its load is rotated in gravity on an indexing head and read at rest. Masses and centres of mass "
+        "follow from the change of its outputs with the orientation.",
     ),
     "identify": CertifiedCommand(
         "parameters.csv", "identify.h5", "Mechanical parameters",
-        "Identification of springs, dampers and masses from frequency responses under several loads",
+        "The frequency responses of the item on a shaker are measured under several loads. Springs, dampers and masses "
+        "of a model are identified from all of them together.",
     ),
     "step": CertifiedCommand(
-        "indices.csv", "step.h5", "Dynamic indices", "Step response by sudden release of a known load"
+        "indices.csv", "step.h5", "Dynamic indices",
+        "A known static load on the item is released suddenly. Gain, frequencies and damping ratios follow from a "
+        "model of its response.",
     ),
 }  # fmt: skip
 QUANTITY_TYPES = {
@@ -313,7 +144,7 @@ def _list_and_name(command: str, row: Mapping[str, str]) -> tuple[str, str]:
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
         is_certified = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
-        where = "Masses and centres of mass of the sensor under test and its load"
+        where = "Masses and centres of mass of the item and its load"
         return where, f"{name}{axis}" if is_certified else ""
     if command == "identify":
         return f"Mechanics along {component}", "" if "stated beforehand" in row["method"] else name
