@@ -519,6 +519,7 @@ class RecordingFile(SetUpFiles):
 
     format: Version
     name: Text
+    simulated: bool = False
     rig: Text
     mounting: Text = "1"
     date: Date | None = None

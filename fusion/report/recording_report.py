@@ -206,6 +206,7 @@ def render_report(evaluation: Evaluation) -> str:
     """Return the HTML text of the report; style and figures are included."""
     context = {
         "name": evaluation.manifest.name,
+        "simulated": evaluation.manifest.simulated,
         "subject": _subject(evaluation),
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
@@ -331,6 +332,8 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)
         file.attrs["mounting"] = manifest.mounting
+        if manifest.simulated:
+            file.attrs["simulated"] = True
         if manifest.date is not None:
             file.attrs["date"] = manifest.date.isoformat()
         parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)

@@ -347,7 +347,7 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     element = sensitivity_element(found, line, channel, component)
     unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
     relative = _over_static(evaluation, found, line, (channel, component))
-    remark = _relative(element) + ("" if relative is None else f"; {_verdict(relative)}")
+    remark = _relative(element) + ("" if relative is None else f"; {verdict(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
     label = f"Sensitivity {name}" if found.kind[line] == "element" else capitalise(name)
     size = quantity_html(element.magnitude, element.expanded_magnitude, unit)
@@ -370,7 +370,7 @@ def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element:
     return relative
 
 
-def _verdict(relative: Polar) -> str:
+def verdict(relative: Polar) -> str:
     """Return whether a magnitude agrees with its static value, and the deviation."""
     agrees = abs(relative.magnitude - 1.0) <= relative.expanded_magnitude
     words = "agrees with the static value" if agrees else "differs from the static value"

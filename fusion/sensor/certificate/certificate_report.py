@@ -17,6 +17,7 @@ from fusion.estimation.coverage import COVERAGE
 from fusion.recording.dsi import Powers, dsi_unit
 from fusion.report.atomic_files import write_atomically, write_files, write_together
 from fusion.report.folder import render_page
+from fusion.report.summary_pdf import write_requested_pdf
 from fusion.report.table import (
     WEAK,
     Table,
@@ -323,6 +324,7 @@ def run_certificate(
     found = evaluate_certificate(path, results, form_path, allow_outside=allow_outside)
     files: dict[str, str | bytes] = {PAGE_FILE: certificate_page(found), XML_FILE: certificate_xml(found)}
     write_together(folder, lambda part: write_files(part, files), lambda: list(files))
+    write_requested_pdf(folder / PAGE_FILE)
     print(f"{found.title} of {found.sensor.name} {found.sensor.serial}, certificate {found.form.administration.number}")
     for element in found.elements:
         first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
