@@ -295,15 +295,16 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         best = best_points(points)
         first, last = best[0], best[-1]
         expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
-        remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f})"
+        many = len(mains) > FULL_HEADLINES
+        remark = f"U = {small(expanded[0])} %" + ("" if many else f" (k = {first.element.k:.2f})")
         if first.relative is not None:
-            remark += f"; {verdict(first.relative)}"
-        name = result_name(first.kind, first.channel, first.component, main=True)
-        name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
-        label = f"{name}, {first.frequency_hz:.4f} Hz"
+            judged = verdict(first.relative)
+            remark += f"; {judged.partition(':')[0] if many else judged}"
+        name = capitalise(result_name(first.kind, first.channel, first.component, main=True))
+        label = f"{name if many or first.kind == 'ratio' else f'Sensitivity {name}'}, {first.frequency_hz:.4f} Hz"
         size = quantity_html(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
-        if len(mains) > FULL_HEADLINES or len(best) < 2:
+        if many or len(best) < 2:
             continue
         if last.relative is not None:
             label = f"Deviation from static at {last.frequency_hz:.4f} Hz"

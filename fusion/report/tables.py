@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -189,7 +189,20 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
             unit = result.phasors.unit[component]
             size, remark = quantity_html(element.magnitude, element.expanded_magnitude, unit), _relative(element)
         found.append(Headline(f"{label}, amplitude", size, remark))
-    return found
+    return [*found, *_deformation_headlines(evaluation, line)]
+
+
+def _deformation_headlines(evaluation: Evaluation, line: int) -> Iterator[Headline]:
+    """Yield the largest deformation at a line of every pair that shows one."""
+    for pair in evaluation.stereo:
+        lines = np.flatnonzero(pair.usable).tolist()
+        if pair.shapes is None or line not in lines or not pair.shapes.deforms[lines.index(line)]:
+            continue
+        k, shapes = lines.index(line), pair.shapes
+        largest = int(np.argmax(np.abs(shapes.phasors.value[k])))
+        size, u = float(np.abs(shapes.phasors.value[k, largest])), float(shapes.u_size[k, largest])
+        label = f"Bending of the {pair.body}, {shapes.phasors.channels[largest]}"
+        yield Headline(label, quantity_html(1e9 * size, 2e9 * u, "nm"), f"seen by stereo pair {pair.name}")
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:

@@ -11,12 +11,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from browsing import Page
+from browsing import Page, below_the_first_screen, marks_of_pages, paper
 from evaluation_factory import make_evaluation
 
+from fusion.errors import ComputeError
 from fusion.report.figure import RED, Figure, Scale, empty_figure
 from fusion.report.recording_report import render_report, write_results
+from fusion.report.report_notices import NOT_PRINTED
+from fusion.report.summary_pdf import find_browser, print_summary
 
+A4_MM = 297.0 - 2 * 16.0  # height within the margins
 NASTY = "</script><b>\"'&\u2028 <!-- name"
 
 
@@ -100,7 +104,7 @@ PAGES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PAGES)
-def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
+def test_every_figure_of_every_command_is_drawn(browser, preset, commanded, tmp_path):
     (page,) = commanded(preset).rglob(PAGES[preset])
     opened = Page(browser, page)
     names = opened.page.eval_on_selector_all("figure[data-figure]", "all => all.map((one) => one.dataset.figure)")
@@ -108,6 +112,11 @@ def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
     for figure in names:
         assert opened.draw(figure).locator("canvas").count() > 0
     opened.close()
+    found = paper(browser, page, tmp_path / "page.pdf")
+    assert (found["missing"], found["broken"], found["blank"]) == ([], 0, [])
+    if preset == "steps":
+        assert below_the_first_screen(browser, page, ".front .plot") == []
+        assert (found["wide"], found["summary_mm"] < A4_MM) == ([], True)
 
 
 def test_hovering_shows_the_number_of_the_table(browser, results):
@@ -191,7 +200,7 @@ def test_a_figure_is_saved_as_svg_and_its_data_as_csv(browser, drawn):
     opened.close()
 
 
-def test_without_programs_and_on_paper_the_main_figures_remain(browser, results, tmp_path):
+def test_without_programs_the_main_figures_remain(browser, results):
     plain = browser.new_context(java_script_enabled=False)
     page = plain.new_page()
     page.goto((results / "report.html").as_uri())
@@ -199,16 +208,32 @@ def test_without_programs_and_on_paper_the_main_figures_remain(browser, results,
     assert shown.count() >= 3
     assert all(shown.nth(k).is_visible() for k in range(shown.count()))
     plain.close()
-    opened = Page(browser, results / "report.html", color_scheme="dark")
-    opened.draw("trigger")
-    opened.page.emulate_media(media="print")
-    images = opened.page.locator("figure:not(.screen) img.static")
-    assert all(images.nth(k).is_visible() for k in range(images.count()))
-    assert opened.page.locator("figure[data-figure='trigger'] .plot").is_visible()
-    assert not opened.page.locator("figure[data-figure='motion-top'] .plot").is_visible()
-    opened.page.pdf(path=tmp_path / "report.pdf")
-    assert (tmp_path / "report.pdf").stat().st_size > 50_000
-    opened.close()
+
+
+def test_the_first_screen_holds_result_and_rig(browser, results):
+    assert below_the_first_screen(browser, results / "report.html", ".scene canvas") == []
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert '<span class="badge">simulated data</span>' in page
+    assert "· six-component transducer" in page
+
+
+def test_all_figures_are_on_paper_and_the_summary_is_one_sheet(browser, results, tmp_path):
+    found = paper(browser, results / "report.html", tmp_path / "report.pdf")
+    assert found.pop("summary_mm") < A4_MM
+    assert found == {"missing": [], "broken": 0, "wide": [], "blank": []}
+
+
+def test_the_summary_is_printed_by_a_browser_of_the_machine(browser, results, tmp_path, monkeypatch):
+    file = tmp_path / "summary.pdf"
+    file.write_bytes(print_summary(results / "report.html", find_browser()))
+    (marks,) = marks_of_pages(file)
+    assert marks > 300
+    silent = tmp_path / "browser"
+    silent.write_text("#!/bin/sh\nexit 3\n", encoding="utf-8")
+    silent.chmod(0o755)
+    with pytest.raises(ComputeError, match="exit status 3") as caught:
+        print_summary(results / "report.html", str(silent))
+    assert caught.value.code == NOT_PRINTED.code
 
 
 def test_pages_fit_their_window_and_have_names_for_everything(browser, results):
