@@ -22,7 +22,7 @@ IMAGES = Path(__file__).resolve().parent / "images"
 WIDTH, SCALE = 1200, 1.0
 PICTURES = {
     "report": ("demo", "run MADE -o OUT", "Fz-0080/report.html", "#figure-sources", "#figure-components-load"),
-    "campaign": ("matrix", "run MADE -o OUT", "report.html", "header", "#sensitivity figure"),
+    "campaign": ("matrix", "run MADE -o OUT", "report.html", "header", ".front"),
     "step": ("steps", "step MADE -o OUT", "step.html", "#figure-step-Fz", "#figure-bode-Fz"),
     "compensate": ("", "compensate STEP --frequency 3000 --damping 0.6 -o OUT", "compensate.html", "figure", "figure"),
     "decouple": ("steps", "decouple MADE -o OUT", "decouple.html", "figure", "figure"),
@@ -86,8 +86,9 @@ def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> Non
     page = browser.new_page(viewport={"width": WIDTH, "height": 1000}, device_scale_factor=SCALE)
     page.goto(path.as_uri())
     for figure in page.query_selector_all("figure[data-figure]"):
-        figure.scroll_into_view_if_needed()
-        page.wait_for_timeout(300)
+        if figure.is_visible():
+            figure.scroll_into_view_if_needed()
+            page.wait_for_timeout(300)
     page.evaluate("scrollTo(0, 0)")
     begin, end = (page.locator(f"main >> {part}").first.bounding_box() for part in (first, last))
     box = {"x": begin["x"] - 12, "y": begin["y"] - 12, "width": begin["width"] + 24}

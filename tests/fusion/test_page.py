@@ -14,10 +14,11 @@ import pytest
 from browsing import Page, below_the_first_screen, marks_of_pages, paper
 from evaluation_factory import make_evaluation
 
+from fusion.cli import main
 from fusion.errors import ComputeError
 from fusion.report.figure import RED, Figure, Scale, empty_figure
 from fusion.report.recording_report import render_report, write_results
-from fusion.report.report_notices import NOT_PRINTED
+from fusion.report.report_notices import NO_BROWSER, NOT_PRINTED
 from fusion.report.summary_pdf import find_browser, print_summary
 
 A4_MM = 297.0 - 2 * 16.0  # height within the margins
@@ -234,6 +235,20 @@ def test_the_summary_is_printed_by_a_browser_of_the_machine(browser, results, tm
     with pytest.raises(ComputeError, match="exit status 3") as caught:
         print_summary(results / "report.html", str(silent))
     assert caught.value.code == NOT_PRINTED.code
+
+
+def test_a_pdf_file_of_a_run_needs_a_browser_and_a_free_name(
+    browser, make_campaign, evaluated, refused, tmp_path, monkeypatch
+):
+    del browser  # where none starts, none prints
+    recording, file = str(make_campaign()), tmp_path / "summary.pdf"
+    assert main(["run", recording, "-q", "--pdf", str(file)]) == 0
+    assert file.read_bytes().startswith(b"%PDF")
+    assert "SC-900" in refused("run", recording, "--pdf", str(file))
+    for name in ("BROWSERS", "PLACES", "WINDOWS_PLACES"):
+        monkeypatch.setattr(f"fusion.report.summary_pdf.{name}", ())
+    assert NO_BROWSER.code in refused("run", recording, "--force", "--pdf", str(file))
+    assert len(evaluated) == 1
 
 
 def test_pages_fit_their_window_and_have_names_for_everything(browser, results):

@@ -477,6 +477,7 @@
       clearTimeout(waiting);
       waiting = setTimeout(again, 200);
     });
+    await new Promise((ready) => (window.requestIdleCallback ?? setTimeout)(ready, { timeout: 1000 }));
     await paper(elements);
   }
 
