@@ -300,8 +300,9 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         if first.relative is not None:
             judged = verdict(first.relative)
             remark += f"; {judged.partition(':')[0] if many else judged}"
-        name = capitalise(result_name(first.kind, first.channel, first.component, main=True))
-        label = f"{name if many or first.kind == 'ratio' else f'Sensitivity {name}'}, {first.frequency_hz:.4f} Hz"
+        name = result_name(first.kind, first.channel, first.component, main=True)
+        name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
+        label = f"{name}, {first.frequency_hz:.4f} Hz"
         size = quantity_html(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
         if many or len(best) < 2:

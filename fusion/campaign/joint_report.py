@@ -455,9 +455,10 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
 def _main_pictures(
     evaluation: CampaignEvaluation, drawn: Sequence[Sequence[CurvePoint]], best: Sequence[Sequence[CurvePoint]]
 ) -> list[Figure]:
-    """Return the figures of the first screen: the curve or all main elements, and the map of the largest cross-talk.
+    """Return the figures of the first screen.
 
-    `drawn`, `best`: points of every main element to draw, and those of the best kind.
+    These are the curve or all main elements, and the map of the largest cross-talk. `drawn`, `best`: points of every
+    main element to draw, and those of the best kind.
     """
     figures = [draw_curve(drawn[0], evaluation.curves)] if len(drawn) == 1 else [draw_deviations(best)] if best else []
     largest = largest_crosstalk(evaluation)

@@ -321,7 +321,7 @@ class Figure:
         return replace(self, title=title, caption=caption, main=main)
 
     def sheets(self) -> list[Figure]:
-        """Return the figure in parts of whole rows that are no higher than a sheet of paper."""
+        """Return the figure in parts of whole rows that fit on a sheet of paper."""
         columns, parts, first = len(self.widths), list[Figure](), 0
         each = np.asarray(self.heights) * self.height_in / sum(self.heights)
         for row in range(1, len(each) + 1):

@@ -1,4 +1,4 @@
-"""The summary of a page as a PDF file, which a browser of this machine prints."""
+"""The summary of a page as a PDF file, printed by a browser."""
 
 from __future__ import annotations
 
@@ -45,14 +45,20 @@ _REQUESTED: ContextVar[Requested | None] = ContextVar("requested", default=None)
 
 
 def request_pdf(file: Path | None, *, force: bool) -> None:
-    """Set the PDF file of a command; raise `InputError` if it exists, or without a browser."""
+    """Set the PDF file of a command.
+
+    Raises `InputError` if it exists, or without a browser.
+    """
     if file is not None:
         check_new_file(file, force=force)
     _REQUESTED.set(None if file is None else Requested(file, find_browser()))
 
 
 def find_browser() -> str:
-    """Return the path of a browser that prints without a window; raise `InputError` if there is none."""
+    """Return the path of a browser that prints without a window.
+
+    Raises `InputError` if there is none.
+    """
     named = (shutil.which(name) for name in BROWSERS)
     folders = [os.environ[name] for name in ("PROGRAMFILES", "PROGRAMFILES(X86)", "LOCALAPPDATA") if name in os.environ]
     places = [*PLACES, *(str(Path(folder) / place) for folder in folders for place in WINDOWS_PLACES)]
@@ -63,7 +69,7 @@ def find_browser() -> str:
 
 
 def write_requested_pdf(page: Path) -> None:
-    """Write the summary of a page to the PDF file of the command, if it has one, and print its path."""
+    """Write the summary of a page to the PDF file of the command, if any."""
     requested = _REQUESTED.get()
     if requested is None:
         return

@@ -93,7 +93,7 @@ def draw_release(name: str, release: StepRelease) -> Figure:
 
 
 def draw_releases(components: Sequence[StepComponent]) -> list[Figure]:
-    """Draw a release of every component with its model: the main figure of the page, none without a model."""
+    """Draw a release of every component with its model; no figure without a model."""
     chosen = [(component, component.chosen[0].fit) for component in components if component.pooled is not None]
     fits = [(component, fit) for component, fit in chosen if fit is not None]
     if not fits:
@@ -122,7 +122,7 @@ def _near_release(fit: StepFit) -> BoolArray:
 
 
 def _draw_fit(panel: Panel, fit: StepFit, shown: BoolArray, factor: float) -> None:
-    """Draw some samples of a record over a factor, its fit, and the time while the load changes."""
+    """Draw samples over a factor, their fit, and the time of the release."""
     time, measured = MILLI * fit.time_s[shown], (fit.fitted + fit.residual)[shown]
     panel.span(MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s), "load changes", along="x", colour=GREY)
     dots = bool(np.count_nonzero(shown) <= DOTTED)
