@@ -417,12 +417,12 @@ def run(options: argparse.Namespace) -> int:
             progress=progress,
         )
     campaign = is_campaign(options.recording)
-    if done := [outcome.folder for outcome in outcomes if outcome.error is None]:
-        write_requested_pdf((done[0].parent if campaign else done[0]) / REPORT_FILE)
     if options.json:
         print(as_json(outcomes, campaign=campaign))
     else:
         print_outcomes(outcomes, campaign=campaign)
+    if done := [outcome.folder for outcome in outcomes if outcome.error is None]:
+        write_requested_pdf((done[0].parent if campaign else done[0]) / REPORT_FILE)
     return exit_status(outcomes)
 
 

@@ -469,14 +469,14 @@ class CommandReport(Generic[E]):
         with file_lock(folder), show_activity(self.name):
             evaluation = evaluate(inputs.hashes)
             files = self.write(evaluation, folder, inputs, force=force)
-        write_requested_pdf(folder / self.page_file)
         if AS_JSON.get():
             print(self.json(evaluation, files))
-            return evaluation
-        for line in (evaluation.name, *self.lines(evaluation)):
-            print_text(line)
-        print(f"report: {folder / self.page_file}")
-        log_notices((notice, "") for notice in warnings_first(evaluation.notices))
+        else:
+            for line in (evaluation.name, *self.lines(evaluation)):
+                print_text(line)
+            print(f"report: {folder / self.page_file}")
+            log_notices((notice, "") for notice in warnings_first(evaluation.notices))
+        write_requested_pdf(folder / self.page_file)
         return evaluation
 
     def json(self, evaluation: E, files: Sequence[Path]) -> str:

@@ -73,17 +73,22 @@ def write_requested_pdf(page: Path) -> None:
     requested = _REQUESTED.get()
     if requested is None:
         return
-    write_atomically(requested.file, print_summary(page, requested.browser))
+    content = print_summary(page, requested.browser, requested.file.absolute().parent)
+    write_atomically(requested.file, content)
     if not AS_JSON.get():
         print(f"summary: {requested.file}")
 
 
-def print_summary(page: Path, browser: str) -> bytes:
+def print_summary(page: Path, browser: str, place: Path) -> bytes:
     """Return the summary of a page as the content of a PDF file.
 
-    The browser has a new profile, so that one with a window may be open.
+    `place`: folder for temporary files, since a browser in a sandbox may not see those of the system. The browser has a
+    new profile, so that one with a window may be open.
     """
-    with report_write_errors(page), TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+    with (
+        report_write_errors(page),
+        TemporaryDirectory(prefix="summary-", dir=place, ignore_cleanup_errors=True) as folder,
+    ):
         made = Path(folder) / "summary.pdf"
         arguments = [
             *("--headless", "--disable-gpu", "--no-first-run", "--no-default-browser-check"),

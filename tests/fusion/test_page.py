@@ -226,14 +226,15 @@ def test_all_figures_are_on_paper_and_the_summary_is_one_sheet(browser, results,
 
 def test_the_summary_is_printed_by_a_browser_of_the_machine(browser, results, tmp_path, monkeypatch):
     file = tmp_path / "summary.pdf"
-    file.write_bytes(print_summary(results / "report.html", find_browser()))
+    file.write_bytes(print_summary(results / "report.html", find_browser(), tmp_path))
     (marks,) = marks_of_pages(file)
     assert marks > 300
+    assert [entry.name for entry in tmp_path.iterdir()] == ["summary.pdf"]
     silent = tmp_path / "browser"
     silent.write_text("#!/bin/sh\nexit 3\n", encoding="utf-8")
     silent.chmod(0o755)
     with pytest.raises(ComputeError, match="exit status 3") as caught:
-        print_summary(results / "report.html", str(silent))
+        print_summary(results / "report.html", str(silent), tmp_path)
     assert caught.value.code == NOT_PRINTED.code
 
 
