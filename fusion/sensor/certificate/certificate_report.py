@@ -324,7 +324,6 @@ def run_certificate(
     found = evaluate_certificate(path, results, form_path, allow_outside=allow_outside)
     files: dict[str, str | bytes] = {PAGE_FILE: certificate_page(found), XML_FILE: certificate_xml(found)}
     write_together(folder, lambda part: write_files(part, files), lambda: list(files))
-    write_requested_pdf(folder / PAGE_FILE)
     print(f"{found.title} of {found.sensor.name} {found.sensor.serial}, certificate {found.form.administration.number}")
     for element in found.elements:
         first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
@@ -340,6 +339,7 @@ def run_certificate(
     if further:
         print(f"and {further} further elements")
     print(f"certificate: {folder / XML_FILE}, for people {folder / PAGE_FILE} (any browser prints it on A4)")
+    write_requested_pdf(folder / PAGE_FILE)
     return found
 
 
