@@ -8,7 +8,7 @@ export OMP_WAIT_POLICY := passive
 # Processes that check types side by side, where mypy knows how to.
 export MYPY_NUM_WORKERS := auto
 
-.PHONY: demo test validate lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
+.PHONY: demo test validate lint types platforms win32 darwin docs gallery docs-pictures sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -41,6 +41,10 @@ win32 darwin: .venv/dev
 docs: .venv/docs
 	$(BIN)/sphinx-build -q -W --keep-going -E -b html docs build/docs
 	@echo build/docs/index.html
+
+# Pages of all presets for the site, with thumbnails in docs/images/gallery and the pictures of the README: some minutes.
+gallery: .venv/dev
+	$(BIN)/python docs/gallery.py
 
 .venv/docs: .venv/installed
 	$(BIN)/python -m pip install --quiet --editable ".[docs]"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 ROOT = Path(__file__).resolve().parent.parent
+GALLERY = ROOT / "build" / "gallery"
 sys.path.insert(0, str(ROOT))
 
 from fusion.base import __version__  # noqa: E402
@@ -38,6 +39,7 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline"]
 html_theme, html_title = "furo", f"shakercal {release}"
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
+html_extra_path = [str(GALLERY)] if GALLERY.is_dir() else []
 highlight_language = "none"
 nitpicky = True
 nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # types of NumPy and of Python
@@ -65,6 +67,19 @@ def links_outside(app: Sphinx, tree: nodes.document, name: str) -> None:
             reference.replace_self(nodes.literal(text=target.removeprefix("../")))
 
 
+def pages_of_thumbnails(app: Sphinx, tree: nodes.document) -> None:
+    """Have the images of the gallery open the pages that `make gallery` has made."""
+    from docutils import nodes
+
+    for image in list(tree.findall(nodes.image)):
+        path = Path(image["uri"])
+        page = f"pages/{path.stem}.html"
+        if path.parent.name == "gallery" and (GALLERY / page).exists():
+            link = nodes.reference(refuri=page)
+            image.replace_self(link)
+            link += image
+
+
 def plain_bars(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
     """Have bars of docstrings be bars, as in |H|, not names of substitutions."""
     lines[:] = [line if "`" in line else line.replace("|", "\\|") for line in lines]
@@ -78,4 +93,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
         path.write_text(text, encoding="utf-8")
     app.connect("autodoc-process-docstring", plain_bars)
     app.connect("doctree-read", lambda app, tree: links_outside(app, tree, ""))
+    app.connect("doctree-read", pages_of_thumbnails)
     return {"parallel_read_safe": True}

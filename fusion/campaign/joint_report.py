@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -84,6 +84,8 @@ from fusion.report.table import (
     text_column,
 )
 from fusion.report.tables import result_name
+from fusion.report.traceability import largest_of, trace_inputs, traceability
+from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensitivity.load_phasors import budget
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
@@ -190,13 +192,30 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
         write_value(recordings, "reason", list(evaluation.failed.values()))
         if evaluation.sensor is not None:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
-        evidence = tuple(dict.fromkeys(row for entry in evaluation.recorded for row in entry.evidence))
-        if evidence:
+        if evidence := _evidence(evaluation):
             write_value(file, EVIDENCE, evidence)
         for name in JOINT_FIELDS:
             write_value(file, name, getattr(evaluation, name))
 
     return h5_content(fill)
+
+
+def _evidence(evaluation: CampaignEvaluation) -> tuple[InputEvidence, ...]:
+    """Return the sources of the inputs of all recordings, each once."""
+    return tuple(dict.fromkeys(row for entry in evaluation.recorded for row in entry.evidence))
+
+
+def _traceability(evaluation: CampaignEvaluation) -> dict[str, Any]:
+    """Return the inputs of the main elements, of ratios only if there is nothing else."""
+    kinds = {curve.kind for curve in evaluation.curves}
+    kind = next((kind for kind in ("matrix", "element", "ratio") if kind in kinds), None)
+    evidence = _evidence(evaluation)
+    parts, names = [], list[str]()
+    for curve in (curve for curve in evaluation.curves if curve.kind == kind):
+        mains = [e for e, (c, j) in enumerate(curve.elements) if c == main_channel(evaluation, curve.channels, j)]
+        parts.append(trace_inputs(curve.value[:, mains], curve.uncertainty.at(mains), evidence))
+        names += [curve.name(e) for e in mains]
+    return traceability(largest_of(parts), ", ".join(dict.fromkeys(names)))
 
 
 def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
@@ -445,6 +464,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "linearity": linearity_table(evaluation),
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
+        **_traceability(evaluation),
         "count": count_text(len(evaluation.recorded) + len(evaluation.failed), "recording"),
         "notes": listed[len(of_recordings) :],
         **frame,

@@ -59,9 +59,9 @@ def _plan_options(parser: Parser) -> None:
         "excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
         "ratios), separated by commas"
     )
-    parser.value("--frequencies", frequencies, "LIST", text, required=True)
-    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), required=True, help="frames per point")
-    rate = parser.add_mutually_exclusive_group(required=True)
+    parser.value("--frequencies", frequencies, "LIST", text)
+    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), help="frames per point")
+    rate = parser.add_mutually_exclusive_group()
     rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="highest camera rate to consider")
     rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain the effect of this camera rate instead")
     parser.value("--min-rate", hertz, "HZ", "lowest camera rate (default: half the highest)")
@@ -77,6 +77,9 @@ def _plan_options(parser: Parser) -> None:
     level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
     level.add_argument("--acceleration", type=positive, metavar="M/S2", help="acceleration amplitude of the excitation")
     parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
+    text = "field of view, depth of field and noise of a stereo pair from its data sheet (docs/practice.md)"
+    parser.value("--setup", path, "SETUP.toml", text)
+    parser.set_defaults(usage_error=parser.error)
     parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
 
 
@@ -123,6 +126,17 @@ def plan(options: argparse.Namespace) -> None:
     from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
 
+    if options.setup is not None:
+        from fusion.planning.camera_setup import print_setup, read_setup
+
+        print_setup(read_setup(options.setup))
+        if options.frequencies is None:
+            return
+    missing = [f"--{name}" for name in ("frequencies", "frames") if getattr(options, name) is None]
+    if missing:
+        options.usage_error(f"the following arguments are required: {', '.join(missing)}")
+    if options.rate is None and options.max_rate is None:
+        options.usage_error("one of the arguments --max-rate --rate is required")
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
     if options.rate is not None and options.min_rate is not None:
@@ -454,14 +468,35 @@ def transfer(options: argparse.Namespace) -> None:
 def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE.uff", help="file to write")
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write")
+    text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
+    target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
+    parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
     parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
-    parser.switch("--force", "overwrite a file that is there")
+    parser.switch("--force", "overwrite files that are there")
 
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411)."""
+    """Export results or channels as a universal file, inputs as CSV, or fields as images and VTK.
+
+    Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
+    """
+    if options.fields is not None:
+        if options.inputs:
+            raise InputError(CONFLICTING_OPTIONS, "--inputs", found="--fields", expected="--output with it")
+        from fusion.report.field_export import export_fields
+
+        written = export_fields(options.results, options.fields, force=options.force)
+        print(f"fields written: {options.fields} ({len(written)} files)")
+        return
+    if options.inputs:
+        from fusion.report.traceability import export_inputs
+
+        count = export_inputs(options.results, options.output, force=options.force)
+        print(f"table written: {options.output} ({count} rows)")
+        return
     from fusion.report.universal_export import export_universal
 
     made = export_universal(options.results, options.output, text=options.text, force=options.force)

@@ -288,6 +288,8 @@ def _compare_options(parser: Parser) -> None:
     parser.value(
         "--date", str, "NAME=DATE", "day of a result, YYYY-MM-DD, for the drift; may be repeated", action="append"
     )
+    text = "names and units of the columns of tables of others (docs/comparison.md)"
+    parser.value("--columns", path, "COLUMNS.toml", text)
     parser.value("--tolerance", percent, "PERCENT", "tolerance of equal frequencies (default: 0.1)", default=1e-3)
     parser.results("folder comparison in the working folder")
     parser.json()
@@ -298,7 +300,9 @@ def compare(options: argparse.Namespace) -> None:
     """Compare results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
     from fusion.sensor.compare.comparison_report import run_compare
 
-    run_compare(options.inputs, options.output, options.date or (), options.tolerance, force=options.force)
+    run_compare(
+        options.inputs, options.output, options.date or (), options.tolerance, options.columns, force=options.force
+    )
 
 
 COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, compare)

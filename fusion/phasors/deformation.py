@@ -14,7 +14,8 @@ import numpy as np
 from fusion.estimation.uncertainty import real_stack
 from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.stereo_motion import PhaseRotated
-from photogram.direct.surface import PLAIN, ShapeAmplitudes
+from photogram.direct.surface import PLAIN, ShapeAmplitudes, Shapes
+from photogram.geometry import displacement_jacobian
 from photogram.motion import Deformation
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
 from shaker.sine.normal_equations import SineSums
@@ -78,7 +79,8 @@ class ShapePhasors(Arrays):
     Corrected for the exposure. `phasors`: with the covariance of their noise. `effects` (P, K, S): changes per standard
     uncertainty of unknowns of all frames (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that
     an amplitude of 1 m adds to that of the pair. `chance` (K,): of an F at least as large on a rigid body. `modes`:
-    number of independent shapes that are significant at the lines together.
+    number of independent shapes that are significant at the lines together. `form` (S, N, 3): displacement of the
+    points in addition to the rigid motion of the pair, for an amplitude of 1 m; None if no line deforms.
     """
 
     phasors: Phasors
@@ -87,11 +89,12 @@ class ShapePhasors(Arrays):
     f: FloatArray
     chance: FloatArray
     modes: int
+    form: FloatArray | None = None
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance (K, 2S, 2S) of all real and all imaginary parts, noise and effects."""
-        return _with_effects(self.phasors, self.effects)
+        return with_effects(self.phasors.covariance, self.effects)
 
     @property
     def u_size(self) -> FloatArray:
@@ -103,6 +106,14 @@ class ShapePhasors(Arrays):
     def deforms(self) -> BoolArray:
         """Lines (K,) at which a deformation is significant, at 1 % over all of them."""
         return np.asarray(self.chance < LEVEL / len(self.chance))
+
+    def at_points(self, shapes: Shapes, points_m: FloatArray) -> ShapePhasors:
+        """Add the `form` of the shapes at points (N, 3) if the body deforms."""
+        if not self.deforms.any():
+            return self
+        return replace(
+            self, form=shapes(points_m) - np.einsum("ncm,ms->snc", displacement_jacobian(points_m), self.share)
+        )
 
     def notices(self) -> list[Notice]:
         """Return a warning for each line at which the body deforms beyond stated modes."""
@@ -160,7 +171,7 @@ def shape_phasors(
         phasors = phase_rotated.shapes(time_s, fit, moved, partial(_tested_noise, time_s))
     free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
-    covariance = _with_effects(phasors, effects)
+    covariance = with_effects(phasors.covariance, effects)
     both = real_stack(phasors.value)
     square = np.einsum("ki,ki->k", both, np.linalg.solve(covariance, both[..., None])[..., 0])
     f = square * free / (2 * count * phasors.dof)
@@ -206,10 +217,10 @@ def _neighbouring_frequencies(time_s: FloatArray, frequency_hz: FloatArray, line
     return np.asarray(around[np.abs(folded[:, None] - taken).min(axis=1) > bin_hz])
 
 
-def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2S, 2S) of phasors with noise and effects (P, K, S)."""
+def with_effects(covariance: FloatArray, effects: ComplexArray) -> FloatArray:
+    """Return the covariance (K, 2S, 2S) of noise and of effects (P, K, S)."""
     both = real_stack(effects)
-    return np.asarray(phasors.covariance + np.einsum("pki,pkj->kij", both, both))
+    return np.asarray(covariance + np.einsum("pki,pkj->kij", both, both))
 
 
 def _independent(phasors: Phasors, covariance: FloatArray) -> int:

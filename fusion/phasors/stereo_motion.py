@@ -166,7 +166,7 @@ class ImageView:
     Tracked subsets of some frames at a time, their rig, the first left image, the noise models of its cameras and the
     predicted quality of subsets. `epipolar`: whether the pair is as calibrated (None for a single camera). `deformed`:
     deformation in shapes, from all pixels. `pattern`: effect of the sensors' fixed pattern. Medians: `sigma_px` of
-    positions by noise, and `zncc` in the left camera.
+    positions by noise, and `zncc` in the left camera; `subset_zncc` (N,): mean of each subset.
     `phase_rotated`: of a rolling shutter, after its refinement.
     """
 
@@ -181,6 +181,7 @@ class ImageView:
     zncc: float
     pattern: FixedPattern | None = None
     phase_rotated: PhaseRotated | None = None
+    subset_zncc: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -385,7 +386,10 @@ def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, *others),
+        ImageView(
+            *(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, *others),
+            subset_zncc=body.subset_zncc,
+        ),
         (*images.notices, *body.notices, *notices),
         body.subset_frames,
     )

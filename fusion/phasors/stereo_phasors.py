@@ -65,7 +65,8 @@ class StereoResult(Arrays):
     `reference_image` (H, W), `subsets_px` (N, 2): first left image and its subsets, None for points of another program.
     `deflection`: of the points at the usable lines; `shapes`: from all pixels; both None for a single camera, which
     cannot separate depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard deviation of a
-    subset's coordinate, as predicted from the first images and as measured. `prnu` (cameras, 2): rms of the pixels'
+    subset's coordinate, as predicted from the first images and as measured. `subset_zncc` (N,): correlation of each
+    subset in the left camera, mean over the frames. `prnu` (cameras, 2): rms of the pixels'
     gains by the fixed pattern, and u. `epipolar`: test of the calibration per frame; its notices are among the
     evaluation's.
 
@@ -90,6 +91,7 @@ class StereoResult(Arrays):
     speckle_px: float | None = None
     noise_grey: float | None = None
     median_zncc: float | None = None
+    subset_zncc: FloatArray | None = None
     deflection: DeflectionShape | None = None
     shapes: ShapePhasors | None = None
     surface: Iterable[Deformation] | None = None
@@ -377,13 +379,18 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
     sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:
         sigma_px = np.array([np.nanmedian([side.predicted_sigma_px for side in view.quality]), view.sigma_px])
+    shapes, deflection = result.shapes, result.deflection
+    if shapes is not None and deflection is not None:
+        shapes = shapes.at_points(view.deformed.shapes, deflection.reference_m)
     return replace(
         result,
+        shapes=shapes,
         reference_image=view.reference_image,
         subsets_px=first.left.position_px[0],
         speckle_px=float(np.min(first.speckle_px)),
         noise_grey=float(np.mean(first.noise_grey)),
         median_zncc=view.zncc,
+        subset_zncc=view.subset_zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
         prnu=None if view.pattern is None else view.pattern.prnu,

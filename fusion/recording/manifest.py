@@ -169,6 +169,8 @@ class ResponseColumns(ManifestBlock):
     uncertainties.
     """
 
+    KEY: ClassVar[str] = "response_columns"
+
     frequency: Text
     magnitude: Text
     phase: Text

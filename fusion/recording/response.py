@@ -66,6 +66,8 @@ MOST_ROOTS = 100  # poles or zeros of an element
 TURN = 2.0 * np.pi
 ANGLES = {"rad": 1.0, "radian": 1.0} | dict.fromkeys(("deg", "°", "degree", "degrees"), np.pi / 180.0)
 CLOCKS = 2e-4  # relative clock error that may move a line beyond the last point of a table
+UNCERTAINTY_OF = re.compile(r"[uU]\s*\(.*\)")
+"""U(x), u(x): uncertainty of x, whose name is no unit (GUM)."""
 SAME_HZ = 1e-6  # relative difference of equal frequencies of a table
 
 
@@ -252,7 +254,7 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     reduce, and that of the mean by the scatter.
     """
     names: tuple[str, ...] = COLUMNS if columns is None else columns.names
-    values = _typed_columns(path) if columns is None else _named_columns(path, columns)
+    values = _typed_columns(path) if columns is None else named_columns(path, columns)
     if np.any(values[1] <= 0.0):
         raise InputError(
             INVALID_RESPONSE_VALUE, path, names[1], found=f"{values[1].min():g}", expected="positive values"
@@ -260,7 +262,7 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     for name, u in zip(names[3:], values[3:], strict=True):
         if np.any(u < 0.0):
             raise InputError(INVALID_RESPONSE_VALUE, path, name, found=f"{u.min():g}", expected="no negative values")
-    values = values if columns is None else _without_repeats(values)
+    values = values if columns is None else without_repeats(values)
     if len(values[0]) == 0 or np.any(np.diff(values[0]) <= 0.0):
         raise InputError(
             INVALID_RESPONSE_VALUE, path, names[0], found="values that do not ascend", expected="ascending frequencies"
@@ -328,19 +330,17 @@ def _number(cell: str | None) -> float:
         return nan
 
 
-def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
-    """Return the columns named by the user in SI units, with standard uncertainties."""
+def named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
+    """Return frequency, magnitude, phase, u_magnitude and u_phase (N,) of a file in SI units."""
     from shaker.io import read_channels
 
     names = columns.names
-    with as_input_error(path, "response_columns", UNREADABLE_RESPONSE_FILE):
+    with as_input_error(path, columns.KEY, UNREADABLE_RESPONSE_FILE):
         read = read_channels(path, list(dict.fromkeys(names)), 1.0)
     values = [read[name].samples for name in names]
     if len({len(column) for column in values}) > 1:
         found = ", ".join(f"{len(column)} of {name}" for name, column in zip(names, values, strict=True))
-        raise InputError(
-            INVALID_RESPONSE_VALUE, path, "response_columns", found=found, expected="columns of equal length"
-        )
+        raise InputError(INVALID_RESPONSE_VALUE, path, columns.KEY, found=found, expected="columns of equal length")
     for name, column in zip(names, values, strict=True):
         for row, value in enumerate(column.tolist()):
             if not np.isfinite(value) or wrong_size(value):
@@ -352,7 +352,7 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
                     found=found,
                     expected=wrong_size(value) or "one finite number per row",
                 )
-    units = [read[name].unit.strip() for name in names]
+    units = ["" if UNCERTAINTY_OF.fullmatch(name) else read[name].unit.strip() for name in names]
     frequency_hz, magnitude, phase, u_magnitude, u_phase = values
     factor = _magnitude_factor(path, columns, units)
     turn, u_turn = (
@@ -364,7 +364,7 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
         phase = leading_phase(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
     except ValueError as error:
         raise InputError(
-            AMBIGUOUS_PHASE_SIGN, path, "response_columns.phase", found=str(error), expected=UNAMBIGUOUS_SIGN
+            AMBIGUOUS_PHASE_SIGN, path, f"{columns.KEY}.phase", found=str(error), expected=UNAMBIGUOUS_SIGN
         ) from error
     u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase
     return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, phase, *u]
@@ -396,7 +396,7 @@ def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) ->
         raise InputError(
             PHASE_NOT_IN_RADIANS,
             path,
-            "response_columns",
+            columns.KEY,
             found="no phase_unit",
             expected=f'one, because "{name}" suggests degrees',
         )
@@ -406,7 +406,7 @@ def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) ->
             path,
             name,
             found=f"{unit} in the file",
-            expected=f"{stated}, as in response_columns.phase_unit",
+            expected=f"{stated}, as in {columns.KEY}.phase_unit",
         )
     return of_file if of_file is not None else ANGLES[stated or "rad"]
 
@@ -445,7 +445,7 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
         return 1.0
     stated = parse_unit(columns.magnitude_unit)
     if magnitude and _same_unit(magnitude, columns.magnitude_unit) is False:
-        expected = f"{columns.magnitude_unit}, as in response_columns.magnitude_unit"
+        expected = f"{columns.magnitude_unit}, as in {columns.KEY}.magnitude_unit"
         raise InputError(
             RESPONSE_UNIT_CONTRADICTION, path, columns.magnitude, found=f"{magnitude} in the file", expected=expected
         )
@@ -463,8 +463,11 @@ def _same_unit(one: str, other: str) -> bool | None:
     )
 
 
-def _without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return columns with one row per frequency, ascending; repeats are averaged."""
+def without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return columns with one row per frequency, ascending; repeats are averaged.
+
+    Repetition reduces scatter, not the mean of the stated uncertainties: u² = (mean u)² + scatter²/N.
+    """
     order = np.argsort(values[0], kind="stable")
     frequency_hz = values[0][order]
     starts = np.flatnonzero(np.diff(frequency_hz, prepend=-np.inf) > SAME_HZ * np.abs(frequency_hz))

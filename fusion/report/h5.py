@@ -267,6 +267,7 @@ def read_evidence(file: h5py.File) -> tuple[InputEvidence, ...]:
     columns = (
         group[field.name][()].tolist() if field.name in numbers else group[field.name].asstr()[()].tolist()
         for field in fields(InputEvidence)
+        if field.name in group or field.name != "valid_until"  # results of earlier versions
     )
     return tuple(InputEvidence(*row) for row in zip(*columns, strict=True))
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import prefix
-from fusion.phasors.deformation import DeflectionShape
+from fusion.phasors.deformation import DeflectionShape, ShapePhasors
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import (
     BLACK,
@@ -27,6 +27,8 @@ from fusion.report.figure import (
     Scale,
     empty_figure,
 )
+from fusion.report.page_images import neighbour_distance, shown_grey
+from fusion.report.table import quantity_html
 from fusion.sensitivity.analyse import Evaluation
 from photogram.measure.epipolar import COVERAGE, EpipolarCheck
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
@@ -362,12 +364,6 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
     panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{deviation:.2g}'):g}", align="right")
 
 
-def shown_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image (H, W) with its contrast stretched to 256 shades."""
-    low, high = np.percentile(image, (0.5, 99.5))
-    return np.asarray(255.0 * np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0), dtype=np.uint8)
-
-
 def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     """Draw one reference image, reduced to its size on the page."""
     height, width = image.shape
@@ -376,18 +372,6 @@ def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     panel.image(shown.astype(np.uint8), (-0.5, width - 0.5), (-0.5, height - 0.5))
     panel.x.limits, panel.y.limits = (-0.5, width - 0.5), (height - 0.5, -0.5)
     panel.equal, panel.x.grid, panel.y.grid = True, False, False
-
-
-def neighbour_distance(points: FloatArray, least: float) -> float:
-    """Return the median distance of neighbours on a grid of points (N, 2).
-
-    Points closer than `least` count as one point.
-    """
-    sample = points[:: max(1, len(points) // 200)]
-    across, down = (np.abs(np.subtract.outer(mine, every)) for mine, every in zip(sample.T, points.T, strict=True))
-    distance = np.maximum(across, down)
-    distance[distance < least] = np.inf
-    return float(np.median(distance.min(axis=1)))
 
 
 # Figure of one stereo pair: whether its cameras agree with their calibration.
@@ -453,16 +437,20 @@ def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
 
 MOST_POINTS = 120  # of one tracked surface that a page shows
 SIGNIFICANT_RATIO = 1.5  # rms of a deflection over that of noise (chosen)
+VECTOR_QUANTILE = 3.548
+"""Amplitude of three components, in standard uncertainties of their parts, that noise exceeds at 5 % of the points:
+square root of the 95 % quantile of chi-square with 6 degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class TrackedSurface:
-    """Surface tracked by a pair: resolved lines and shown points."""
+    """Surface tracked by a pair: resolved lines and shown points; `fitted`: its deformation in shapes."""
 
     name: str
     usable: BoolArray
     shape: DeflectionShape
     shown: IntArray
+    fitted: ShapePhasors | None = None
 
     @property
     def points_m(self) -> FloatArray:
@@ -477,23 +465,54 @@ class TrackedSurface:
         value, u = self.shape.value[k], self.shape.u[k]
         return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
 
+    def _bends(self, line: int) -> ShapePhasors | None:
+        """Return the deformation in shapes, None if it is not significant at a line."""
+        fitted = self.fitted
+        if fitted is None or fitted.form is None or not self.usable[line]:
+            return None
+        return fitted if fitted.deforms[int(np.count_nonzero(self.usable[:line]))] else None
+
     def deflection(self, line: int) -> ComplexArray | None:
-        """Return the deflection (N, 3) of the shown points, None if not significant."""
-        sizes = self._sizes(line)
+        """Return the deflection (N, 3) of the shown points, None if not significant.
+
+        By the shapes fitted to all pixels where these are significant, else by the points; those not above their noise
+        are not deflected.
+        """
+        k, fitted, sizes = int(np.count_nonzero(self.usable[:line])), self._bends(line), self._sizes(line)
+        if fitted is not None and fitted.form is not None:
+            return np.asarray(np.einsum("s,snc->nc", fitted.phasors.value[k], fitted.form[:, self.shown]))
         if sizes is None or not sizes[0] > SIGNIFICANT_RATIO * sizes[1]:
             return None
-        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.shown])
+        value, u = self.shape.value[k][self.shown], self.shape.u[k][self.shown]
+        above = np.sqrt(np.sum(np.abs(value / u) ** 2, axis=1)) > VECTOR_QUANTILE
+        return np.asarray(np.where(above[:, None], value, 0.0))
+
+    def texts(self, line: int) -> Iterator[str]:
+        """Yield amplitudes of significant shapes with U, and the deflection of the points."""
+        fitted = self._bends(line)
+        if fitted is not None:
+            k = int(np.count_nonzero(self.usable[:line]))
+            sizes = np.abs(fitted.phasors.value[k]), fitted.u_size[k]
+            for name, size, u in zip(fitted.phasors.channels, *sizes, strict=True):
+                if size > OUT_QUANTILE * u:
+                    factor, letter = prefix(size)
+                    amount = quantity_html(size / factor, 2.0 * u / factor, f"{letter}m").striptags()
+                    yield f"{self.name}, {name}: {amount} (k = 2)"
+        if text := self.text(line):
+            yield text
 
     def text(self, line: int) -> str:
-        """Return the size of the deflection as text."""
+        """Return the size of the deflection of the points as text."""
         sizes = self._sizes(line)
         if sizes is None:
             return ""
         factor, letter = prefix(max(sizes))
         size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        end = (
-            f"of which noise {noise}" if self.deflection(line) is not None else f"not above noise ({noise}), not drawn"
+        above, drawn = (
+            sizes[0] > SIGNIFICANT_RATIO * sizes[1],
+            "drawn by its shapes" if self._bends(line) else "not drawn",
         )
+        end = f"of which noise {noise}" if above else f"not above noise ({noise}), {drawn}"
         return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
 
 
@@ -505,4 +524,4 @@ def tracked_surface(item: StereoResult) -> Iterator[TrackedSurface]:
     finite = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
     if len(finite) >= 3:
         chosen = np.unique(np.linspace(0, len(finite) - 1, min(MOST_POINTS, len(finite))).round().astype(int))
-        yield TrackedSurface(item.name, item.usable, shape, finite[chosen])
+        yield TrackedSurface(item.name, item.usable, shape, finite[chosen], item.shapes)

@@ -6,7 +6,6 @@ the tracked points stay. templates/moving.js draws the image magnified, in the p
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -18,13 +17,11 @@ from markupsafe import Markup
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.rig import Stereo
-from fusion.report.motion_figures import neighbour_distance, shown_grey
+from fusion.report.page_images import jpeg_source, neighbour_distance, reduced_image
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, displacement_jacobian
 from shakercal._common.arrays import ComplexArray, FloatArray
 
-WIDEST_PX = 640  # of an image on a page
-JPEG_QUALITY = 72
 COLUMNS = 24  # cells of the mesh that bends an image
 SHOWN_SHARE = 0.025  # of the width: largest displacement at the first magnification
 STEP_M = 1e-6  # of the difference quotient of the projection
@@ -62,11 +59,8 @@ def _moving_image(item: StereoResult, stated: Stereo, moved: ComplexArray) -> Mo
     `moved` (K, 6): phasors of the body.
     """
     camera, pose = read_rig(stated, ()).camera_poses[0][0], sensor_from_camera(stated)
-    grey = shown_grey(np.asarray(item.reference_image))
-    height, width = grey.shape
-    scale = min(1.0, WIDEST_PX / width)
-    size = round(width * scale), round(height * scale)
-    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    height, width = np.asarray(item.reference_image).shape
+    small, scale = reduced_image(np.asarray(item.reference_image))
     nodes = _nodes(width, height)
     share = _share(nodes, np.asarray(item.subsets_px, dtype=np.float64))
     flow = share[None, :, None] * _image_phasors(item, camera, pose, moved, nodes)
@@ -79,9 +73,10 @@ def _moving_image(item: StereoResult, stated: Stereo, moved: ComplexArray) -> Mo
         ],
         "size": [float(f"{SHOWN_SHARE * width / most:.2g}") if most > 0.0 else 0.0 for most in largest],
     }
-    coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    source = f"data:image/jpeg;base64,{base64.b64encode(coded).decode('ascii')}"
-    return MovingImage(item.name, item.body, *size, source, htmlsafe_json_dumps(data, separators=(",", ":")))
+    size = small.shape[1], small.shape[0]
+    return MovingImage(
+        item.name, item.body, *size, jpeg_source(small), htmlsafe_json_dumps(data, separators=(",", ":"))
+    )
 
 
 def _nodes(width: int, height: int) -> FloatArray:

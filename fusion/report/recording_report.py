@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from html import escape
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.estimation.coverage import Polar
@@ -20,6 +17,8 @@ from fusion.estimation.fuse import Acceleration
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report import tables, uncertainty_tables
 from fusion.report.atomic_files import write_file, write_files
+from fusion.report.field_data import FIRST_IMAGE, pair_fields
+from fusion.report.field_images import field_page
 from fusion.report.figure import Figure
 from fusion.report.folder import (
     CURVE_FILE,
@@ -39,6 +38,7 @@ from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
 from fusion.report.moving_image import moving_images
+from fusion.report.page_images import reduced_image
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import body_displacements, evaluation_scene, scene_page
 from fusion.report.result_figures import (
@@ -50,8 +50,10 @@ from fusion.report.result_figures import (
     trigger_figures,
 )
 from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, quantity_html, text_column
+from fusion.report.traceability import trace_inputs, traceability
+from fusion.report.vtk import collection, poly_data
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
-from fusion.sensitivity.input_evidence import find_evidence
+from fusion.sensitivity.input_evidence import InputEvidence, find_evidence
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
@@ -204,6 +206,7 @@ REPORT_FILE = "report.html"
 
 def render_report(evaluation: Evaluation) -> str:
     """Return the HTML text of the report; style and figures are included."""
+    images = moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation))
     context = {
         "name": evaluation.manifest.name,
         "simulated": evaluation.manifest.simulated,
@@ -211,7 +214,8 @@ def render_report(evaluation: Evaluation) -> str:
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
         "rig": scene_page(evaluation_scene(evaluation)),
-        "images": moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation)),
+        "images": images,
+        "field_page": field_page(pair_fields(evaluation), evaluation.stereo, [image.name for image in images]),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
@@ -230,10 +234,30 @@ def render_report(evaluation: Evaluation) -> str:
         "supports": tables.supports_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
         "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
+        **_traceability(evaluation),
         **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
     return render_page("report.html", context)
+
+
+def _evidence(evaluation: Evaluation) -> tuple[InputEvidence, ...]:
+    """Return the sources of the inputs of all results."""
+    parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
+    influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
+    return find_evidence(evaluation.manifest, influences, evaluation.input_hashes)
+
+
+def _traceability(evaluation: Evaluation) -> dict[str, Any]:
+    """Return inputs of the main result, and the recalibration that pays most."""
+    main = tables.main_result(evaluation)
+    if main is None:
+        return {}
+    found, index = main
+    labelled = found.labelled()
+    uncertainty = labelled.uncertainty.at([index])
+    inputs = trace_inputs(labelled.value[:, [index]], uncertainty, _evidence(evaluation))
+    return traceability(inputs, labelled.elements[index])
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -336,10 +360,7 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
             file.attrs["simulated"] = True
         if manifest.date is not None:
             file.attrs["date"] = manifest.date.isoformat()
-        parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
-        influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
-        evidence = find_evidence(manifest, influences, evaluation.input_hashes)
-        if evidence:
+        if evidence := _evidence(evaluation):
             write_value(file, EVIDENCE, evidence)
         driven = file.create_group("excitation")
         for name in ("kind", "direction", "frequencies"):
@@ -349,11 +370,22 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
             for name in SENSOR:
                 write_value(sensor, name, getattr(manifest.rig.sensor, name))
         write_fields(file, evaluation)
+        _write_first_images(file, evaluation.stereo)
         for name in ("sensitivity/budget", "element/budget"):
             if name in file:
                 file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)
 
     write_file(path, h5_content(fill))
+
+
+def _write_first_images(file: Group, pairs: Sequence[StereoResult]) -> None:
+    """Write the first left image of each pair, for exports of fields."""
+    for pair in pairs:
+        group = file.get(f"stereo/{pair.name}")
+        if group is not None and pair.reference_image is not None:
+            image, scale = reduced_image(np.asarray(pair.reference_image))
+            group[FIRST_IMAGE] = image
+            group[FIRST_IMAGE].attrs["pixels_per_px"] = scale
 
 
 # Every tracked point of a stereo pair in every frame, as tables and VTK files.
@@ -362,7 +394,6 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
 POINT_COLUMNS = ("frame", "time_s", "point", *(f"{name}_m" for name in AXES))
 POINT_COLUMNS += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in AXES)
 """Columns of the table: position in the first frame, displacement and its part that is not rigid, each with u."""
-XML = '<?xml version="1.0"?>\n<VTKFile type="{}" version="1.0"{}>'
 
 
 def save_points(folder: Path, stereo: StereoResult) -> list[str]:
@@ -373,7 +404,7 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     if stereo.surface is None:
         return []
     name = f"points-{stereo.name}"
-    names, steps = [f"{name}.csv", f"{name}.pvd"], list[str]()
+    names, steps = [f"{name}.csv", f"{name}.pvd"], list[tuple[float, str]]()
     (folder / name).mkdir()
     reference_m = next(iter(stereo.surface)).reference_m
     finite = np.asarray(np.isfinite(reference_m).all(axis=1))
@@ -386,15 +417,16 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
             time_s = float(stereo.time_s[number])
             seen = np.asarray(np.isfinite(vectors["deviation_m"]).all(axis=1))
             names.append(f"{name}/{number:04d}.vtp")
-            write_file(folder / names[-1], _vtp(positions, seen, vectors))
-            steps.append(f'<DataSet timestep="{time_s!r}" file="{escape(names[-1])}"/>')
+            shown = {key: np.where(seen[:, None], values, 0.0) for key, values in vectors.items()}
+            content = poly_data(positions, {**shown, "seen": seen.astype(np.uint8)}, vectors="displacement_m")
+            write_file(folder / names[-1], content)
+            steps.append((time_s, names[-1]))
             numbers = np.hstack([positions, *vectors.values()])
             for point in np.flatnonzero(seen).tolist():
                 yield f"{number},{time_s!r},{point},{','.join(map(repr, numbers[point].tolist()))}\n"
 
     write_file(folder / names[0], rows())
-    collection = [XML.format("Collection", ""), "<Collection>", *steps, "</Collection>", "</VTKFile>", ""]
-    write_file(folder / names[1], "\n".join(collection))
+    write_file(folder / names[1], collection(steps))
     return names
 
 
@@ -424,29 +456,3 @@ def _point_frames(stereo: StereoResult, finite: BoolArray) -> Iterator[tuple[int
             number,
             {"displacement_m": moved, "u_displacement_m": u_moved, "deviation_m": rest, "u_deviation_m": u_rest},
         )
-
-
-def _vtp(positions_m: FloatArray, seen: BoolArray, vectors: Mapping[str, FloatArray]) -> str:
-    """Return VTK PolyData in XML: positions in the first frame and vectors of one frame.
-
-    Doubles are in base64 after their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points that were
-    not found have `seen` 0 and zero vectors.
-    """
-    count = len(positions_m)
-    parts = [XML.format("PolyData", ' byte_order="LittleEndian" header_type="UInt64"'), "<PolyData>"]
-    parts += [f'<Piece NumberOfPoints="{count}" NumberOfVerts="{count}">', "<Points>"]
-    parts += [_data_array("place_m", positions_m), "</Points>", "<Verts>"]
-    parts += [_data_array("connectivity", np.arange(count)), _data_array("offsets", np.arange(1, count + 1))]
-    parts += ["</Verts>", '<PointData Vectors="displacement_m">']
-    parts += [_data_array(name, np.where(seen[:, None], values, 0.0)) for name, values in vectors.items()]
-    parts += [_data_array("seen", seen.astype(np.uint8)), "</PointData>", "</Piece>", "</PolyData>", "</VTKFile>", ""]
-    return "\n".join(parts)
-
-
-def _data_array(name: str, values: NDArray[Any]) -> str:
-    """Return a DataArray of doubles, integers or bytes."""
-    kind, dtype = {"f": ("Float64", "<f8"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}[values.dtype.kind]
-    raw = np.ascontiguousarray(values, dtype=dtype).tobytes()
-    text = base64.b64encode(len(raw).to_bytes(8, "little") + raw).decode("ascii")
-    components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
-    return f'<DataArray type="{kind}" Name="{name}"{components} format="binary">{text}</DataArray>'

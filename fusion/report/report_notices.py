@@ -193,3 +193,19 @@ NO_SENSITIVITY_TO_EXPORT = DeclaredNotice(
     remedy="Evaluate a recording with outputs and a load.",
     link="results.md#universal-files",
 )
+NO_FIELDS = DeclaredNotice(
+    "SC-936",
+    "error",
+    "expected results of a stereo pair with tracked subsets, found none",
+    effect="No field is written.",
+    remedy="Evaluate a recording with the images of a stereo pair.",
+    link="results.md#fields-over-the-images",
+)
+FIELD_FOLDER_EXISTS = DeclaredNotice(
+    "SC-937",
+    "error",
+    "expected a new folder for the fields, found one with {name}",
+    effect="No file is written.",
+    remedy="State another folder, or `--force` to replace the fields in it.",
+    link="results.md#fields-over-the-images",
+)

@@ -40,6 +40,7 @@ from shakercal._common.arrays import ComplexArray, FloatArray
 
 KINDS = {
     "load": ("load", ORANGE),
+    "element": ("elastic element", ORANGE),
     "base": ("base", GREY),
     "surface": ("tracked points", SKY),
     "camera": ("cameras", SOURCE_COLOUR["photogrammetry"]),
@@ -130,7 +131,7 @@ def scene_page(scene: Scene) -> ScenePage:
         descriptions=[(shape.name, shape.description) for shape in scene.shapes],
         lines=[motion.name for motion in scene.motions],
         remarks=scene.remarks,
-        deflects=any(motion.deflection for motion in scene.motions),
+        deflects=any(motion.deflection and motion.rigid for motion in scene.motions),
     )
 
 
@@ -172,7 +173,7 @@ def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str,
         "t": motion.amplitudes,
         "r": {body: _parts(value, 3) for body, value in motion.rigid.items()},
         "d": {name: _parts(value, 3) for name, value in motion.deflection.items()},
-        "m": [_magnification(reach, rigid), _magnification(reach, bent)],
+        "m": [_magnification(reach, rigid or bent), _magnification(reach, bent)],
     }
 
 
@@ -497,7 +498,7 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     displaced = body_displacements(evaluation)
     for k, f in enumerate(frequency.tolist()):
         texts = [_amplitude_text(body, polar[k], f) for body, polar in elements.items()]
-        texts += [text for surface in seen if (text := surface.text(k))]
+        texts += [text for surface in seen for text in surface.texts(k)]
         bent = {surface.name: value for surface in seen if (value := surface.deflection(k)) is not None}
         rigid = {body: phasors[k] for body, phasors in displaced.items()}
         multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1

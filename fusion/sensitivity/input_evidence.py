@@ -37,6 +37,7 @@ class InputEvidence:
     laboratory: str
     sha256: str
     input: str
+    valid_until: str = ""
 
     @property
     def proven(self) -> bool:
@@ -59,23 +60,28 @@ def find_evidence(
         item = inputs.get(key)
         if item is None and path is None:
             continue
-        number, laboratory = _source(item)
+        number, laboratory, valid = _source(item)
         digest = "" if path is None else _digest(manifest, path, hashes)
         value = item.value if item is not None and is_number(item.value) else np.nan
         file = path if item is None else item.file
         for name in (name for name in unknowns if name == stem or name.startswith(f"{stem} ")):
             unknown = unknowns[name]
             of, where = what + name[len(stem) :], f"{file.name if file else ''}: {key}"
-            row = InputEvidence(name, of, float(value), unknown.u, unknown.unit, number, laboratory, digest, where)
+            row = InputEvidence(
+                name, of, float(value), unknown.u, unknown.unit, number, laboratory, digest, where, valid
+            )
             found.setdefault((name, number, laboratory, digest), row)
     proven = {row.unknown for row in found.values() if row.proven}
     return tuple(row for row in found.values() if row.proven or row.unknown not in proven)
 
 
-def _source(item: UncertainInput | None) -> tuple[str, str]:
-    """Return the number of the certificate and laboratory of an input, or empty texts."""
+def _source(item: UncertainInput | None) -> tuple[str, str, str]:
+    """Return number, laboratory and end of validity of an input's certificate."""
     stated = None if item is None else item.stated
-    return ("", "") if stated is None else (" ".join(stated.certificate.split()), stated.laboratory)
+    if stated is None:
+        return "", "", ""
+    valid = "" if stated.valid_until is None else stated.valid_until.isoformat()
+    return " ".join(stated.certificate.split()), stated.laboratory, valid
 
 
 def _digest(manifest: Manifest, path: Path, hashes: Mapping[str, str]) -> str:

@@ -151,8 +151,17 @@ PHASES_DIFFER_BY_180 = DeclaredNotice(
     "SC-778",
     "warning",
     "{channel} per {component}: the phases of {first} and {second} differ by 180° at every common frequency.",
-    effect="The sign of the output or of the load probably differs.",
+    effect="The sign of the output or of the load probably differs. Phases are compared after a change of this sign.",
     remedy="Check the sign of the output and `sense` of the sensor in both.",
+    link="comparison.md",
+)
+UNCERTAINTY_BY_FORMULA = DeclaredNotice(
+    "SC-971",
+    "warning",
+    "The stated uncertainty of {result}'s magnitude is {percent:.3g} % of the value at {count} of {points} points.",
+    effect="Such an uncertainty follows from a formula, for example a stated capability, not from these measurements. "
+    "It does not show at which frequencies the result scatters, so E_n may be too large or too small.",
+    remedy="Ask for the uncertainty of every point, or its scatter over repeats.",
     link="comparison.md",
 )
 PHASES_OPPOSITE = DeclaredNotice(

@@ -69,6 +69,7 @@ class BodyMotion(Arrays):
     subsets_px : first positions of the subsets in the left camera.
     sigma_px : standard deviation of their positions due to noise, median over subsets and frames.
     zncc : median in the left camera.
+    subset_zncc : (N,) of each subset in the left camera, mean over the frames.
     noise : noise models of each camera, None when no frame could be fitted to the grey values.
     quality : of each camera, prediction of the subsets' precision, None as above.
     pattern : effect of the sensors' fixed pattern, None as above.
@@ -85,6 +86,7 @@ class BodyMotion(Arrays):
     subsets_px: FloatArray
     sigma_px: float
     zncc: float
+    subset_zncc: FloatArray
     noise: tuple[NoiseModel, ...] | None
     quality: tuple[SubsetQuality, ...] | None
     pattern: FixedPattern | None
@@ -245,6 +247,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         subsets_px=sums.subsets_px,
         sigma_px=float(np.sqrt(sums.variance_px2.median)),
         zncc=sums.zncc.median,
+        subset_zncc=sums.subset_zncc.mean,
         noise=noise,
         quality=quality,
         pattern=pattern,
@@ -395,6 +398,7 @@ class _Sums:
         self.frames, self.reprojection = 0, (0.0, 0)
         self.of_points: list[RigidMotion] = []
         self.variance_px2, self.variance_m2, self.zncc = Sample(), Sample(), Sample()
+        self.subset_zncc = RunningMean()
 
     def add(self, tracks: StereoTracks, points: Points3D, of_points: RigidMotion, motion: RigidMotion) -> None:
         """Add further frames."""
@@ -406,6 +410,7 @@ class _Sums:
         sides = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in tracks.cameras]
         self.variance_px2.add(np.stack(sides, axis=1))
         self.zncc.add(tracks.left.zncc)
+        self.subset_zncc.add(tracks.left.zncc)
         variance = np.trace(points.covariance_m2, axis1=2, axis2=3) / 3.0
         first = 1 if self.frames == 0 else 0
         self.variance_m2.add(np.where(np.isfinite(of_points.residual_m)[:, None], variance, np.nan)[first:])

@@ -32,6 +32,7 @@ from fusion.sensor.elastomer.element_evaluation import (
     solid_shapes,
     spread,
 )
+from fusion.sensor.elastomer.element_report import element_scene
 from fusion.simulate.statics import write_element
 from shaker.elastomer.frame import MODE_NAMES
 from shaker.lti.system import ModalModel
@@ -110,6 +111,25 @@ def test_command_writes_the_results_that_it_prints(simulated, evaluated):
     page = (out / "elastomer.html").read_text(encoding="utf-8")
     self_contained(page)
     assert page.count("<h2>") >= 4
+
+
+def test_modes_move_in_space_as_the_frame_does(element):
+    """The platform of Tz moves along z alone and whole; Rz turns it about z; clamped ends stay."""
+    evaluation = _evaluate(element)
+    scene = element_scene("frame", frame_shapes(evaluation.definition, evaluation.frame))
+    assert [motion.name.partition(":")[0] for motion in scene.motions] == list(MODE_NAMES)
+    (shape,) = scene.shapes
+    half = evaluation.definition.file.platform.half_size
+    on_platform = (np.abs(shape.points_m[:, :2]) <= 1.001 * half).all(axis=1)
+    moved = {motion.name.partition(":")[0]: motion.deflection["frame"].real for motion in scene.motions}
+    for motion in moved.values():
+        assert np.linalg.norm(motion, axis=1).max() == pytest.approx(1e-6)
+    lifted = moved["Tz"][on_platform]
+    assert np.abs(np.abs(lifted[:, 2]) - np.abs(lifted[:, 2]).max()).max() < 0.25e-6
+    turned, arm = moved["Rz"][on_platform], shape.points_m[on_platform]
+    along = np.abs(np.sum(turned[:, :2] * arm[:, :2], axis=1))
+    assert np.all(along < 0.05 * np.linalg.norm(turned, axis=1).max() * np.linalg.norm(arm[:, :2], axis=1).max())
+    assert max(max(face) for face in shape.faces) == len(shape.points_m) - 1
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
-from fusion.report.motion_figures import neighbour_distance
+from fusion.report.page_images import neighbour_distance
 from fusion.report.recording_report import POINT_COLUMNS
 from photogram.camera import Rig, StereoRig
 from photogram.geometry import rotation_from_vector

@@ -30,7 +30,7 @@
     const up = unit(data.up), flat = Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
     const first = unit(plus(flat, up, -dot(flat, up))), second = cross(up, first);
     const view = { yaw: -58 * DEG, pitch: 26 * DEG, centre: [0, 0, 0], radius: 1 };
-    const state = { phase: 0, playing: moving && !calm.matches, seen: false, line: 0, stretch: 0, mode: 0, hover: null, fit: "all" };
+    const state = { phase: 0, playing: moving && !calm.matches, seen: false, line: 0, stretch: 0, mode: +(part("mode")?.value ?? 0), hover: null, fit: "all" };
     const hidden = new Set();
     let colours = {}, primitives = [], width = 0, height = 0, basis = null, asked = 0, before = 0, largest = 1;
     for (const shape of data.shapes) { shape.points = triples(shape.p); shape.edges = shape.c ? edges(shape) : []; }
@@ -58,7 +58,7 @@
     }
     function fit(which) { state.fit = which; view.radius = 0; draw(); }
     function fitted() { // the view that just holds all points of what is to be seen
-      const bodies = data.shapes.filter(shape => shape.b), bent = bodies.filter(shape => state.mode && shape.u in data.motions[state.line].d);
+      const bodies = data.shapes.filter(shape => shape.b), bent = bodies.filter(shape => state.mode === 1 && shape.u in data.motions[state.line].d);
       const near = bent.length ? bent : bodies, shapes = state.fit === "near" && near.length ? near : data.shapes;
       const points = shapes.flatMap(shape => shape.points);
       const ends = points[0].map((_, i) => [Math.min, Math.max].map(f => f(...points.map(p => p[i]))));
@@ -81,7 +81,8 @@
     }
 
     // The motion: rigid with its rotation vector, and what is beside it.
-    const factor = () => moving ? data.motions[state.line].m[state.mode] * 10 ** state.stretch : 0;
+    // Modes: 0 whole motion, 1 deflection alone, 2 whole motion with the deflection magnified more.
+    const factor = which => moving ? data.motions[state.line].m[which] * 10 ** state.stretch : 0;
     function instant(numbers, size) { // millionths: µm, µrad
       const c = Math.cos(state.phase), s = Math.sin(state.phase), out = [];
       for (let i = 0; i < numbers.length; i += 2) out.push((numbers[i] * c - numbers[i + 1] * s) * size);
@@ -91,16 +92,16 @@
       const motion = data.motions[state.line];
       if (!motion || !shape.b) return shape.points;
       let points = shape.points;
-      const rigid = state.mode === 0 && motion.r[shape.b], bent = shape.u && motion.d[shape.u];
+      const rigid = state.mode !== 1 && motion.r[shape.b], bent = shape.u && motion.d[shape.u];
       if (rigid) {
-        const now = instant(rigid, factor()), shift = now.slice(0, 3).map(x => 1e-3 * x);
+        const now = instant(rigid, factor(0)), shift = now.slice(0, 3).map(x => 1e-3 * x);
         const angle = Math.hypot(now[3], now[4], now[5]) * 1e-6, axis = unit(now.slice(3)), c = Math.cos(angle), s = Math.sin(angle);
         points = points.map(p => {
           const turned = plus(plus(p.map(x => c * x), cross(axis, p), s), axis, (1 - c) * dot(axis, p));
           return plus(turned, shift, 1);
         });
       }
-      if (bent) { const now = triples(instant(bent, 1e-3 * factor())); points = points.map((p, i) => plus(p, now[i], 1)); }
+      if (bent) { const now = triples(instant(bent, 1e-3 * factor(state.mode ? 1 : 0))); points = points.map((p, i) => plus(p, now[i], 1)); }
       return points;
     }
 
@@ -117,7 +118,7 @@
           const eye = plus(plus(view.centre, basis.towards, basis.distance), a, -1);
           if (shape.c && dot(normal, eye) <= 0) return false;
           const lit = dot(normal, light), shade = shape.c ? 0.55 + 0.45 * Math.max(0, lit) : shape.u ? 0.2 + 0.8 * Math.abs(lit) : 1;
-          add({ ...base, kind: "face", at: face.map(i => at[i]), alpha: shape.o * shade * (state.mode && !shape.u ? 0.3 : 1) });
+          add({ ...base, kind: "face", at: face.map(i => at[i]), alpha: shape.o * shade * (state.mode === 1 && !shape.u ? 0.3 : 1) });
           return true;
         });
         for (const edge of shape.edges) {
@@ -132,11 +133,11 @@
         const dots = shape.d === "many" ? at : shape.d ? at.slice(0, 1) : [];
         dots.filter(before_us).forEach((p, i) => {
           add({ ...base, kind: "dot", at: [p], size: shape.d === "many" ? 1.6 : 3.4 });
-          if (state.mode && shape.u) add({ ...base, kind: "line", at: [seen(shape.points[i]), p] });
+          if (state.mode === 1 && shape.u) add({ ...base, kind: "line", at: [seen(shape.points[i]), p] });
         });
         const anchor = at[shape.a && !shape.d ? at.length - 1 : 0];
         if (shape.l && before_us(anchor)) labels.push({ text: shape.l, at: anchor, colour: base.colour });
-        if (shape.c && moving && !state.mode) rest(shape);
+        if (shape.c && moving && state.mode !== 1) rest(shape);
       });
       primitives.sort((a, b) => b.depth - a.depth);
       return labels;
@@ -159,7 +160,10 @@
       pen.setLineDash(primitive.dashed ? [4, 4] : []);
       path(primitive.at);
       if (primitive.kind === "face") {
-        pen.closePath(); pen.globalAlpha = Math.min(1, primitive.alpha * (chosen ? 1.5 : 1)); pen.fill(); pen.globalAlpha = 1;
+        pen.closePath();
+        if (primitive.shape.o === 1) { pen.fillStyle = colours.back; pen.fill(); pen.fillStyle = primitive.colour; }
+        pen.globalAlpha = Math.min(1, primitive.alpha * (chosen ? 1.5 : 1)); pen.fill(); pen.globalAlpha = 1;
+        if (primitive.shape.o === 1) { pen.strokeStyle = colours.ink; pen.lineWidth = 0.5; pen.stroke(); }
       } else if (primitive.kind === "line") {
         pen.globalAlpha = primitive.thin ? 0.5 : 1; pen.stroke(); pen.globalAlpha = 1;
         if (primitive.head) head(...primitive.at);
@@ -194,7 +198,7 @@
     function bar() { // a length at the distance of the middle
       const size = basis.scale / basis.distance, wanted = 110 / size, power = 10 ** Math.floor(Math.log10(wanted));
       const length = power * [5, 2, 1].find(f => f * power <= wanted), x = 16, y = height - 14;
-      pen.strokeStyle = pen.fillStyle = colours.frame; pen.lineWidth = 1.5; pen.setLineDash([]);
+      pen.strokeStyle = pen.fillStyle = colours.frame ?? colours.ink; pen.lineWidth = 1.5; pen.setLineDash([]);
       path([[x, y - 4], [x, y], [x + length * size, y], [x + length * size, y - 4]]); pen.stroke();
       pen.font = "12px " + colours.font; pen.fillText(`${length} mm`, x + 5, y - 6);
     }
@@ -223,7 +227,7 @@
       part("phase").value = degrees;
       part("phase").setAttribute("aria-valuetext", `${degrees} degrees`);
       part("phase-told").textContent = `ωt = ${degrees}°`;
-      part("size-told").textContent = `× ${short(factor())}`;
+      part("size-told").textContent = `× ${short(factor(state.mode === 1 ? 1 : 0))}${state.mode === 2 ? `, deflection × ${short(factor(1))}` : ""}`;
       const play = part("play"), word = state.playing ? "Pause" : "Play";
       if (play.textContent !== word) play.textContent = word;
       document.dispatchEvent(new CustomEvent("scene-moved", { detail: { line: state.line, phase: state.phase, stretch: state.stretch } }));
@@ -322,7 +326,7 @@
     // Size, colours, and whether anyone can see it.
     function paintbox() {
       const style = getComputedStyle(figure), of = name => style.getPropertyValue(name).trim();
-      colours = { back: of("--paper"), soft: of("--soft"), font: style.fontFamily };
+      colours = { back: of("--paper"), ink: of("--ink"), soft: of("--soft"), font: style.fontFamily };
       for (const chip of parts("chip")) colours[chip.dataset.kind] = getComputedStyle(chip).color;
       draw();
     }

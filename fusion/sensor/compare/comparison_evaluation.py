@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import date as Date
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class ComparedQuantity:
     shared, effects : the S inputs that correlate the values, and their effects (S, N) for one u.
     normalised : (N, N), E_n of every pair.
     complex_normalised : (N, N), of magnitudes: E_n of magnitude and phase together, NaN without a phase.
+    opposite_sign : names of the results whose sign was changed (180°), because it is opposite at all frequencies.
     year : (N,), date of each value, NaN if not stated.
     per_year, u_per_year : drift, None if a date is not stated.
     """
@@ -55,6 +57,7 @@ class ComparedQuantity:
     quantity: str
     unit: str
     names: tuple[str, ...]
+    opposite_sign: tuple[str, ...]
     value: FloatArray
     u: FloatArray
     covariance: FloatArray
@@ -101,17 +104,14 @@ def evaluate_comparison(
     if not 2 <= len(results) <= MAX_RESULTS:
         raise InputError(declared.WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
     shared = find_shared_inputs(results)
-    compared: list[ComparedQuantity] = []
-    unmatched: list[tuple[str, ComparedValue]] = []
-    for entries in _groups(results, tolerance):
-        if len(entries) < 2:
-            unmatched += entries
-            continue
-        group = _in_one_unit(entries, results)
-        compared.append(_compared(group, "magnitude", dates, shared))
-        with_phase = [entry for entry in group if entry[1].phase_rad is not None]
-        if len(with_phase) > 1:
-            compared.append(_compared(with_phase, "phase", dates, shared))
+    groups = list(_groups(results, tolerance))
+    unmatched = [entry for entries in groups if len(entries) < 2 for entry in entries]
+    matched = [_in_one_unit(entries, results) for entries in groups if len(entries) > 1]
+    compared = [one for group in matched for one in _both_quantities(group, dates, shared, {})]
+    conventions = list(opposite_conventions(compared))
+    opposite_sign = opposite_signs(compared, [result.name for result in results])
+    if opposite_sign:
+        compared = [one for group in matched for one in _both_quantities(group, dates, shared, opposite_sign)]
     if not compared:
         kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
         if kinds:
@@ -125,7 +125,7 @@ def evaluate_comparison(
         notices=(
             *_notices(results, unmatched, shared, acting=bool(acting)),
             *_about_kinds(results, unmatched, tolerance),
-            *opposite_conventions(compared),
+            *conventions,
         ),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
@@ -176,8 +176,36 @@ def _in_one_unit(
     return converted
 
 
+OppositeSigns: TypeAlias = Mapping[tuple[str, str], frozenset[str]]
+"""Results whose sign is opposite to that of the first result, by channel and component."""
+
+
+def _both_quantities(
+    group: Sequence[tuple[str, ComparedValue]],
+    dates: Mapping[str, Date],
+    shared: Sequence[SharedInput],
+    opposite_sign: OppositeSigns,
+) -> Iterator[ComparedQuantity]:
+    """Yield magnitude and, where two results have one, phase of one element at one frequency."""
+    names = opposite_sign.get((group[0][1].channel, group[0][1].component), frozenset())
+    group = [
+        (name, replace(value, phase_rad=value.phase_rad - np.pi))
+        if name in names and value.phase_rad is not None
+        else (name, value)
+        for name, value in group
+    ]
+    yield _compared(group, "magnitude", dates, shared, names)
+    with_phase = [entry for entry in group if entry[1].phase_rad is not None]
+    if len(with_phase) > 1:
+        yield _compared(with_phase, "phase", dates, shared, names)
+
+
 def _compared(
-    group: Sequence[tuple[str, ComparedValue]], quantity: str, dates: Mapping[str, Date], shared: Sequence[SharedInput]
+    group: Sequence[tuple[str, ComparedValue]],
+    quantity: str,
+    dates: Mapping[str, Date],
+    shared: Sequence[SharedInput],
+    opposite_sign: frozenset[str],
 ) -> ComparedQuantity:
     """Return reference value, E_n and drift of one quantity; phases are unwrapped."""
     names, values = tuple(name for name, _ in group), [value for _, value in group]
@@ -202,6 +230,7 @@ def _compared(
         quantity=quantity,
         unit=values[0].unit if quantity == "magnitude" else "rad",
         names=names,
+        opposite_sign=tuple(name for name in names if name in opposite_sign),
         value=value,
         u=u,
         covariance=covariance,
@@ -233,7 +262,7 @@ def _notices(
 ) -> list[Notice]:
     """Return the notices of the comparison."""
     independence = declared.RESULTS_SHARE_INPUTS if acting else declared.RESULTS_INDEPENDENT
-    found = [*(notice for result in results for notice in result.signed), Notice(independence, "comparison")]
+    found = [*(notice for result in results for notice in result.notices), Notice(independence, "comparison")]
     for one, other in combinations(results, 2):
         names = {"first": one.name, "second": other.name}
         contradictory = dict.fromkeys(find_contradictory_claims(one, other, shared))
@@ -294,24 +323,53 @@ CONVENTION_RAD = 0.2
 """Tolerance of a difference of phases from 180°, or of a sum of phases from 0: chosen, far above any U."""
 
 
+def _pairs_of_phases(
+    compared: Sequence[ComparedQuantity],
+) -> dict[tuple[str, str, str, str], list[tuple[float, float, float]]]:
+    """Return difference and sum of the phases (rad), and E_n, of every pair of results."""
+    found: dict[tuple[str, str, str, str], list[tuple[float, float, float]]] = {}
+    for phases in (one for one in compared if one.quantity == "phase"):
+        for i, j in combinations(range(len(phases.names)), 2):
+            one, other = sorted((phases.names[i], phases.names[j]))
+            difference = float(np.angle(np.exp(1j * (phases.value[i] - phases.value[j]))))
+            mirrored = float(np.angle(np.exp(1j * (phases.value[i] + phases.value[j]))))
+            key = phases.channel, phases.component, one, other
+            found.setdefault(key, []).append((difference, mirrored, float(phases.normalised[i, j])))
+    return found
+
+
+def _differ_by_half_a_turn(rows: Sequence[tuple[float, float, float]]) -> bool:
+    """Whether phases contradict each other by 180° at every frequency."""
+    difference, _, normalised = np.abs(np.array(rows)).T
+    return bool(np.any(normalised > 1.0) and np.all(difference > np.pi - CONVENTION_RAD))
+
+
+def opposite_signs(compared: Sequence[ComparedQuantity], names: Sequence[str]) -> OppositeSigns:
+    """Return the results whose sign is opposite to that of the first result."""
+    opposite_sign: dict[tuple[str, str], frozenset[str]] = {}
+    pairs = _pairs_of_phases(compared)
+    for channel, component in dict.fromkeys(key[:2] for key in pairs):
+        of_element = {key[2:]: rows for key, rows in pairs.items() if key[:2] == (channel, component)}
+        present = [name for name in names if any(name in pair for pair in of_element)]
+        opposite = [
+            name
+            for name in present[1:]
+            if (rows := of_element.get((min(present[0], name), max(present[0], name)))) and _differ_by_half_a_turn(rows)
+        ]
+        if opposite:
+            opposite_sign[channel, component] = frozenset(opposite)
+    return opposite_sign
+
+
 def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notice]:
     """Yield notices of phases that differ by 180° or by sign at all frequencies.
 
     Only contradictions (|E_n| above 1) count, and opposite signs only if the phase is several times its deviation.
     """
-    found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
-    for phases in (one for one in compared if one.quantity == "phase"):
-        for i, j in combinations(range(len(phases.names)), 2):
-            key = phases.channel, phases.component, *sorted((phases.names[i], phases.names[j]))
-            difference = float(np.angle(np.exp(1j * (phases.value[i] - phases.value[j]))))
-            mirrored = float(np.angle(np.exp(1j * (phases.value[i] + phases.value[j]))))
-            found.setdefault(key, []).append((difference, mirrored, float(phases.normalised[i, j])))
-    for (channel, component, one, other), rows in found.items():
+    for (channel, component, one, other), rows in _pairs_of_phases(compared).items():
         difference, mirrored, normalised = np.abs(np.array(rows)).T
         values = {"channel": channel, "component": component, "first": one, "second": other}
-        if np.all(normalised <= 1.0):
-            continue
-        if np.all(difference > np.pi - CONVENTION_RAD):
+        if _differ_by_half_a_turn(rows):
             yield Notice(declared.PHASES_DIFFER_BY_180, "comparison", **values)
         elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, difference / 4.0)):
             yield Notice(declared.PHASES_OPPOSITE, "comparison", **values)

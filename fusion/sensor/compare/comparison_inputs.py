@@ -23,6 +23,7 @@ from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor import result_notices as declared
+from fusion.sensor.compare.named_tables import ComparedColumns, ComparedTables, read_named_table
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
@@ -73,7 +74,8 @@ class ComparedValue:
 class ComparedResult:
     """A result to be compared, with its values and their evidence.
 
-    `date` and `signed` (signatures) of a certificate. `responses`: number of ratios left out because the output does
+    `date` of a certificate. `notices`: on its signature, or on its uncertainties. `repeats`: most rows at one frequency
+    of a table, which are averaged. `responses`: number of ratios left out because the output does
     not belong to the driven load. The effect of other loads on such an output is as large as the output itself, and
     differs between rigs.
     """
@@ -83,7 +85,8 @@ class ComparedResult:
     values: tuple[ComparedValue, ...]
     date: Date | None = None
     evidence: tuple[InputEvidence, ...] = ()
-    signed: tuple[Notice, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    repeats: int = 1
     responses: int = 0
 
 
@@ -105,7 +108,7 @@ def result_files(path: Path) -> list[Path]:
     return [file, companion] if companion != file and companion.is_file() else [file]
 
 
-def read_result(name: str, path: Path) -> ComparedResult:
+def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> ComparedResult:
     """Read a folder of results, a table, or a Digital Calibration Certificate.
 
     Raises `InputError` if it cannot be compared.
@@ -113,11 +116,15 @@ def read_result(name: str, path: Path) -> ComparedResult:
     Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude. Optional:
     phase_rad with U_phase_rad (k_phase, otherwise k) or u_phase_rad, and kind (default element). Of several kinds of
     one value, the first of matrix, element, ratio is used. Ratios of outputs that do not belong to the driven load are
-    left out.
+    left out. `tables` names the columns of tables that have others.
     """
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
         return _certified(name, file)
+    if tables is not None and not path.is_dir():
+        named = tables.columns_of.get(name, tables.columns)
+        if named is not None and (name in tables.columns_of or not _has_usual_columns(file)):
+            return _named(name, file, named)
     columns, rows = read_rows(file, LARGEST_TABLE)
     missing = [column for column in NEEDED if column not in columns]
     if missing:
@@ -152,6 +159,36 @@ def read_result(name: str, path: Path) -> ComparedResult:
         values.append(replace(found[key], effects=effects, year=year))
     selected, responses = _without_responses(values)
     return ComparedResult(name, file, selected, evidence=evidence, responses=responses)
+
+
+def _has_usual_columns(file: Path) -> bool:
+    """Whether the first line of a text file names the usual columns."""
+    try:
+        with file.open("rb") as opened:
+            first = opened.readline(10_000)
+    except OSError:
+        return True
+    return all(name.encode() in first for name in NEEDED)
+
+
+def _named(name: str, file: Path, columns: ComparedColumns) -> ComparedResult:
+    """Read a table by the names of its columns."""
+    table = read_named_table(name, file, columns)
+    values = tuple(
+        ComparedValue(
+            frequency_hz=float(table.frequency_hz[k]),
+            channel=columns.channel,
+            component=columns.component,
+            ratio=False,
+            unit=table.unit,
+            magnitude=float(table.magnitude[k]),
+            u_magnitude=float(table.u_magnitude[k]),
+            phase_rad=float(table.phase_rad[k]),
+            u_phase_rad=float(table.u_phase_rad[k]),
+        )
+        for k in range(len(table.frequency_hz))
+    )
+    return ComparedResult(name, file, values, notices=table.notices, repeats=table.repeats)
 
 
 Key: TypeAlias = tuple[float, str, str, str]
@@ -272,7 +309,7 @@ def _certified(name: str, file: Path) -> ComparedResult:
     if not values:
         expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
         raise InputError(declared.WRONG_CERTIFIED_RESULT, file, "dcc:results", found="none", expected=expected)
-    return ComparedResult(name, file, tuple(values), certificate.date, signed=certificate.signature_notices)
+    return ComparedResult(name, file, tuple(values), certificate.date, notices=certificate.signature_notices)
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> ComparedValue:

@@ -27,8 +27,9 @@ from fusion.report.table import (
     text_column,
 )
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
-from fusion.sensor.compare.comparison_inputs import read_result, result_files
+from fusion.sensor.compare.comparison_inputs import ComparedResult, read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
+from fusion.sensor.compare.named_tables import read_tables
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
 
 
@@ -75,6 +76,7 @@ COMPARISON: list[TableColumn[ResultRow]] = [
     text_column(
         "shared", lambda row: "; ".join(list_titles(s for s in row.of.shared if row.of.names[row.result] in s.unknowns))
     ),
+    text_column("sign_changed", lambda row: "yes" if row.of.names[row.result] in row.of.opposite_sign else "no"),
 ]
 
 
@@ -179,6 +181,11 @@ def _left_out(found: ComparedQuantity) -> str:
     return ", ".join(name for name, used in zip(found.names, found.reference.used, strict=True) if not used) or "none"
 
 
+def _source(result: ComparedResult) -> str:
+    repeats = "" if result.repeats == 1 else f", up to {result.repeats} repeats at a frequency averaged"
+    return f"{result.name} ({result.file}{repeats})"
+
+
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     columns: list[TableColumn[ComparedQuantity]] = [
         page_column("element", lambda f: f"{f.channel} per {f.component}", "l"),
@@ -210,7 +217,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     dated = [found for found in evaluation.quantities if found.per_year is not None]
     return {
-        "subject": [("Results", ", ".join(f"{result.name} ({result.file})" for result in evaluation.results))],
+        "subject": [("Results", ", ".join(map(_source, evaluation.results)))],
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
         "figures": [draw_normalised(evaluation)],
         "charts": draw_charts(evaluation),
@@ -228,6 +235,9 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
             above = sum(found.largest > 1.0 for found in of_quantity)
             left = sum(not found.reference.used.all() for found in of_quantity)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
+            opposite_sign = dict.fromkeys(name for found in of_quantity for name in found.opposite_sign)
+            if opposite_sign and quantity == "phase":
+                counts += f"; sign (180°) of {', '.join(opposite_sign)} changed"
             yield f"{quantity}: {len(of_quantity)} values compared, {counts}"
     if evaluation.shared:
         yield f"shared inputs: {'; '.join(list_titles(evaluation.shared))}"
@@ -262,10 +272,14 @@ def run_compare(
     output: Path | None,
     dates: Sequence[str] = (),
     tolerance: float = 1e-3,
+    columns: Path | None = None,
     *,
     force: bool = False,
 ) -> None:
-    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary."""
+    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary.
+
+    `columns` is a file with the columns of tables of others.
+    """
     named: dict[str, Path] = {}
     for text in inputs:
         first, equals, rest = text.partition("=")
@@ -285,9 +299,12 @@ def run_compare(
         except ValueError as error:
             expected = "a day as YYYY-MM-DD"
             raise InputError(WRONG_COMPARISON_OPTION, "--date", name, found=day, expected=expected) from error
-    results = [read_result(name, path) for name, path in named.items()]
+    tables = None if columns is None else read_tables(columns, named)
+    results = [read_result(name, path, tables) for name, path in named.items()]
     days = {result.name: result.date for result in results if result.date is not None} | days
-    root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))
-    files = hash_files([file for path in named.values() for file in result_files(path)], root)
+    inputs_read = [file for path in named.values() for file in result_files(path)]
+    inputs_read += [] if columns is None else [columns]
+    root = Path(os.path.commonpath([file.resolve().parent for file in inputs_read]))
+    files = hash_files(inputs_read, root)
     folder = Path("comparison") if output is None else output
     COMPARE.run(files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes), force=force)

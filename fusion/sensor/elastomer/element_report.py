@@ -17,6 +17,8 @@ from fusion.report.figure import Figure as Drawing
 from fusion.report.figure_files import PrintedFigure, drawing, figure_bytes, finish, new_figure
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
+from fusion.report.report_scene import Scene, SceneMotion, scene_page
+from fusion.report.scene_views import SceneShape
 from fusion.report.table import (
     Headline,
     Table,
@@ -260,6 +262,8 @@ def mounted_table(evaluation: ElementEvaluation) -> Table | None:
 
 ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
+SHOWN_M = 1e-6
+"""Largest displacement of a mode in space, magnified by the page."""
 VIEW = {"elev": 26.0, "azim": -58.0}
 METHOD_COLOURS = (BLACK, *COLOURS, GREY)
 MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross", "x", "plus")
@@ -277,6 +281,25 @@ def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[Pr
             "displacement is drawn in every panel, far larger than any real one."
         )
         return finish(figure, name, title, caption), figure_bytes(figure, "png")
+
+
+def element_scene(name: str, shapes: Sequence[DrawnShape]) -> Scene:
+    """Return the modes of an element as motions of its faces in space."""
+    corners = np.concatenate([shapes[0].rest_m, *(shape.motion for shape in shapes)], axis=2)
+    corners = corners.reshape(-1, corners.shape[2])
+    _, first, which = np.unique(np.round(corners, 9), axis=0, return_index=True, return_inverse=True)
+    faces = tuple(map(tuple, which.reshape(-1, 4).tolist()))
+    text = f"{len(faces)} faces; largest displacement of every mode set to {1e6 * SHOWN_M:g} µm"
+    shape = SceneShape("element", name, text, corners[first, :3], faces, body="load", fill=1.0, surface=name)
+    motions = []
+    for mode, drawn in enumerate(shapes):
+        moved = corners[first, 3 * mode + 3 : 3 * mode + 6]
+        largest = float(np.linalg.norm(moved, axis=1).max()) or 1.0
+        deflection = {name: (SHOWN_M / largest * moved).astype(np.complex128)}
+        frequency = f"natural frequency {drawn.frequency_hz:.5g} Hz; the amplitude of a mode is arbitrary"
+        title = f"{drawn.name}: {drawn.frequency_hz:.5g} Hz"
+        motions.append(SceneMotion(title, drawn.frequency_hz, (frequency,), {}, deflection))
+    return Scene(name, (shape,), tuple(motions))
 
 
 def draw_compared(evaluation: ElementEvaluation) -> Drawing:
@@ -391,6 +414,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
         "subject": _subject(evaluation),
         "comparison": comparison_table(evaluation),
         "compared": [draw_compared(evaluation)],
+        "element": scene_page(element_scene("frame", frame_shapes(evaluation.definition, evaluation.frame))),
         "shapes": [figure for figure, _ in mode_shape_figures(evaluation).values()],
         "participation": participation_table(evaluation),
         "stiffness": stiffness_table(evaluation),
