@@ -19,7 +19,7 @@ IMAGES = Path(__file__).resolve().parent / "images"
 WIDTH = 1200
 PICTURES = {
     "fields": ("demo", ".fields .controls", ".fields figure:last-of-type"),
-    "campaign": ("matrix", "header", "#sensitivity figure"),
+    "campaign": ("matrix", "header", ".front"),
     "step": ("steps", "#figure-step-Fz", "#figure-bode-Fz"),
     "compensate": ("compensate", "figure", "figure"),
     "decouple": ("decouple", "figure", "figure"),
@@ -54,8 +54,9 @@ def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> Non
     page.goto(path.as_uri())
     page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true })")
     for figure in page.query_selector_all("figure[data-figure]"):
-        figure.scroll_into_view_if_needed()
-        page.wait_for_timeout(300)
+        if figure.is_visible():
+            figure.scroll_into_view_if_needed()
+            page.wait_for_timeout(300)
     page.evaluate("scrollTo(0, 0)")
     begin, end = (page.locator(f"main >> {part}").first.bounding_box() for part in (first, last))
     box = {"x": begin["x"] - 12, "y": begin["y"] - 12, "width": begin["width"] + 24}

@@ -387,6 +387,7 @@ class CommandEvaluation:
     """Common properties of all evaluations.
 
     `settings`: of the evaluation. `input_hashes`: of all input files by name. `duration_s`: computing time.
+    `simulated`: whether a recording states that it is simulated.
     """
 
     name: str
@@ -395,3 +396,4 @@ class CommandEvaluation:
     versions: dict[str, str] = field(default_factory=versions)
     input_hashes: dict[str, str]
     duration_s: float
+    simulated: bool = False

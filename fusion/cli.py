@@ -69,6 +69,10 @@ def _act(options: argparse.Namespace) -> int:
     AS_JSON.set(getattr(options, "json", False))
     try:
         _check_memory()
+        if hasattr(options, "pdf"):
+            from fusion.report.summary_pdf import request_pdf
+
+            request_pdf(options.pdf, force=options.force)
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
         if "shakercal._common.kernels" in sys.modules:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import zlib
 from pathlib import Path
 from typing import Any
 
+SCREENS = ((1400, 900), (800, 1000))
 _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-figure]")].every((one) => {
   const { top, bottom } = one.getBoundingClientRect();
   return "drawn" in one.dataset || bottom < 0 || top > innerHeight || !one.checkVisibility();
@@ -39,3 +42,59 @@ class Page:
         self.context.close()
         assert self.said == []
         assert all(address.startswith(("file:", "data:", "blob:")) for address in self.asked)
+
+
+def below_the_first_screen(browser: Any, path: Path, picture: str) -> list[str]:
+    """Return which headlines and main pictures do not end on the first screen, at either size."""
+    found = []
+    for wide, high in SCREENS:
+        opened = Page(browser, path)
+        opened.page.set_viewport_size({"width": wide, "height": high})
+        opened.page.wait_for_selector("html[data-printable]", state="attached")
+        opened.page.wait_for_function(_ALL_IN_VIEW_ARE_DRAWN)
+        ends = opened.page.evaluate(
+            """(picture) => [".status", ".headline .value", picture].flatMap((which) => {
+              const all = [...document.querySelectorAll(which)].filter((one) => one.checkVisibility());
+              return all.length ? all.map((one) => [which, one.getBoundingClientRect().bottom]) : [[which, Infinity]];
+            })""",
+            picture,
+        )
+        found += [f"{which} at {wide} x {high}" for which, bottom in ends if bottom > high]
+        opened.close()
+    return found
+
+
+def paper(browser: Any, path: Path, file: Path) -> dict[str, Any]:
+    """Print a page and return what is wrong on paper.
+
+    `missing`: figures without an image; `wide`: tables wider than the paper; `blank`: empty pages of the PDF file;
+    `summary_mm`: height of the summary.
+    """
+    opened = Page(browser, path)
+    opened.page.wait_for_selector("html[data-printable]", state="attached")
+    opened.page.set_viewport_size({"width": 688, "height": 1000})  # A4 without margins, in CSS pixels
+    opened.page.emulate_media(media="print")
+    found: dict[str, Any] = opened.page.evaluate("""() => ({
+      missing: [...document.querySelectorAll("figure[data-figure]")].filter((one) => !one.closest(".front")
+        && !(one.querySelector("img.static")?.naturalHeight > 50 && one.querySelector("img.static").checkVisibility()))
+        .map((one) => one.dataset.figure),
+      broken: [...document.images].filter((one) => one.checkVisibility() && !one.naturalWidth).length,
+      wide: [...document.querySelectorAll("table")].filter((one) => one.getBoundingClientRect().right > 689)
+        .map((one) => one.caption.textContent),
+      summary_mm: document.querySelector("#summary").getBoundingClientRect().height / 96 * 25.4,
+    })""")
+    opened.page.pdf(path=file, prefer_css_page_size=True)
+    opened.close()
+    return found | {"blank": [number for number, marks in enumerate(marks_of_pages(file), 1) if not marks]}
+
+
+def marks_of_pages(file: Path) -> list[int]:
+    """Return how many texts and images every page of a PDF file of the browser draws."""
+    text = file.read_bytes()
+    pages = re.findall(rb"<<\s*/Type /Page\n.*?/Contents (\d+) 0 R", text, re.DOTALL)
+    counts = []
+    for number in pages:
+        _, _, rest = text.partition(b"\n%s 0 obj" % number)
+        content = zlib.decompressobj().decompress(rest[rest.index(b"stream") + 6 :].lstrip(b"\r\n"))
+        counts.append(len(re.findall(rb"\b(?:Tj|TJ|Do)\b", content)))
+    return counts

@@ -374,6 +374,7 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         date=date(2026, 3, 2),
         operator="A. Tester",
         procedure=None,
+        simulated=True,
         inputs=(UncertainInput(folder / "rig.toml", "load.mass", 6.9605, 0.0010, False, CERTIFIED),),
         excitation=excitation,
     )

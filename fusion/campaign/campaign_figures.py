@@ -57,71 +57,126 @@ DARK_ABOVE = 0.55
 """Share of the colour scale above which text is white."""
 
 
-def draw_curve(
-    points: Sequence[CurvePoint],
-    curves: Iterable[SensitivityCurve],
-    drives: Iterable[ExcitedLine],
-    stated: StatedMatrix | None = None,
-) -> Figure:
+def draw_curve(points: Sequence[CurvePoint], curves: Iterable[SensitivityCurve]) -> Figure:
     """Draw magnitude (its deviation from static if stated) and phase over frequency.
 
-    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign.
-    They give the interpolated curve and, if points have several recordings, these below each panel. `stated`: the
-    stated matrix for elements of single recordings.
+    `points`: those of the element, of single recordings and of matrices; `curves`: all of the campaign, which give the
+    interpolated curve.
     """
     first, frequency = points[0], np.array([point.frequency_hz for point in points])
-    title = f"output {first.channel} per load {first.component}"
     factor, power = power_of_ten(np.array([point.element.magnitude for point in points]))
     value, expanded = polar_bars([point.element for point in points], factor)
     static = [p.element.magnitude / p.relative.magnitude / factor for p in points if p.relative is not None]
-    matching = [
-        (curve, e)
-        for curve in curves
-        for e, (c, j) in enumerate(curve.elements)
-        if (curve.channels[c], LOAD_COMPONENTS[j]) == (first.channel, first.component)
-        and curve.kind in {point.kind for point in points}
-    ]
-    single_kind = [(curve, e) for curve, e in matching if curve.kind != "matrix"]
-    singles = [one for curve, e in single_kind for one in single_points(curve, e, drives, stated)]
-    repeated = len(singles) > len(points)
-    heights = [1.5, 0.9, 1.2, 0.9] if repeated else [1.5, 1.2]
     kinds = [point.kind for point in points]
-    quantity = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
-    text = f"{quantity}, {title}: magnitude and phase over frequency; bars and band: U."
-    name = f"curve-{first.channel}-{first.component}"
-    drawn = empty_figure(name, 6.9 if repeated else 4.6, heights)
-    upper, lower = drawn.panels[0], drawn.panels[len(heights) // 2]
-    _draw_between((upper, lower), matching, factor)
-    for panel, level, half in zip((upper, lower), value, expanded, strict=True):
+    drawn = empty_figure(f"curve-{first.channel}-{first.component}", 4.0, [1.5, 1.2])
+    _draw_between(drawn.panels, _matching(points, curves), factor)
+    for panel, level, half in zip(drawn.panels, value, expanded, strict=True):
         _draw_bars(panel, frequency, kinds, level, half)
+        panel.x.limits, panel.x.link = (0.0, _right_end(frequency)), "frequency"
+    upper, lower = drawn.panels
     unit = f"{power}{typeset(first.unit)}"
     frame_bars(upper, lower, (value, expanded), unit, (static[0], "static") if static else None)
     lower.y.second = ("phase / °", 0.0, float(np.degrees(1.0)))
-    if repeated:
-        single, _ = polar_bars([element for _, _, element in singles], factor)
-        nearest = np.argmin(np.abs(np.array([f for f, _, _ in singles])[:, None] - frequency), axis=1)
-        phase = np.mod(single[1] - value[1, nearest] + np.pi, 2.0 * np.pi) - np.pi
-        for panel, off, half, unit in (
-            (drawn.panels[1], 100.0 * (single[0] / value[0, nearest] - 1.0), 100.0 * expanded[0] / value[0], "%"),
-            (drawn.panels[3], 1e3 * phase, 1e3 * expanded[1], "mrad"),
-        ):
-            _draw_bars(panel, frequency, kinds, np.zeros_like(half), half)
-            _draw_mountings(panel, [(f, mounting) for f, mounting, _ in singles], off, _right_end(frequency))
-            ends = np.concatenate([off, half, -half])
-            panel.y.limits = padded_limits(float(np.nanmin(ends)), float(np.nanmax(ends)))
-            panel.y.label = f"from the curve / {unit}"
-    for panel in drawn.panels:
-        panel.x.limits, panel.x.link = (0.0, _right_end(frequency)), "frequency"
-    drawn.panels[-1].x.label = "frequency / Hz"
+    lower.x.label = "frequency / Hz"
+    text = "Magnitude and phase over frequency; bars and band: U."
     if len(set(kinds)) > 1:
         text += " Ratios and elements of single recordings are shifted to the left of their frequency."
     if "ratio" in kinds:
         text += " Ratios include the effect of the other loads."
-    if repeated:
-        text += (
-            " Below each: single recordings (open, by mounting, shifted in frequency) relative to the curve and its U."
-        )
-    return drawn.with_title(f"{quantity}, {title}", text, main=True)
+    return drawn.with_title(_curve_title(points), text, main=True)
+
+
+def draw_recordings(
+    points: Sequence[CurvePoint],
+    curves: Iterable[SensitivityCurve],
+    drives: Iterable[ExcitedLine],
+    stated: StatedMatrix | None = None,
+) -> Figure | None:
+    """Draw single recordings relative to the curve; None if no point has several.
+
+    `points`, `curves`: as of `draw_curve`; `drives`: all of the campaign; `stated`: the stated matrix for elements of
+    single recordings.
+    """
+    single_kind = [(curve, e) for curve, e in _matching(points, curves) if curve.kind != "matrix"]
+    singles = [one for curve, e in single_kind for one in single_points(curve, e, drives, stated)]
+    if len(singles) <= len(points):
+        return None
+    first, frequency, kinds = points[0], np.array([p.frequency_hz for p in points]), [p.kind for p in points]
+    value, expanded = polar_bars([point.element for point in points], 1.0)
+    single, _ = polar_bars([element for _, _, element in singles], 1.0)
+    nearest = np.argmin(np.abs(np.array([f for f, _, _ in singles])[:, None] - frequency), axis=1)
+    phase = np.mod(single[1] - value[1, nearest] + np.pi, 2.0 * np.pi) - np.pi
+    drawn = empty_figure(f"recordings-{first.channel}-{first.component}", 3.6, 2)
+    for panel, off, half, label in zip(
+        drawn.panels,
+        (100.0 * (single[0] / value[0, nearest] - 1.0), 1e3 * phase),
+        (100.0 * expanded[0] / value[0], 1e3 * expanded[1]),
+        ("magnitude / %", "phase / mrad"),
+        strict=True,
+    ):
+        _draw_bars(panel, frequency, kinds, np.zeros_like(half), half)
+        _draw_mountings(panel, [(f, mounting) for f, mounting, _ in singles], off, _right_end(frequency))
+        ends = np.concatenate([off, half, -half])
+        panel.y.limits = padded_limits(float(np.nanmin(ends)), float(np.nanmax(ends)))
+        panel.y.label = label
+        panel.x.limits, panel.x.link = (0.0, _right_end(frequency)), "frequency"
+    drawn.panels[-1].x.label = "frequency / Hz"
+    text = "Single recordings less the curve (open, by mounting, shifted in frequency); bars: U of the curve."
+    return drawn.with_title(f"Single recordings, output {first.channel} per load {first.component}", text)
+
+
+def draw_deviations(mains: Sequence[Sequence[CurvePoint]]) -> Figure:
+    """Draw the main elements over frequency in one figure: magnitude from static, and phase.
+
+    `mains`: the points of each. A magnitude is relative to the first one if not all static values are stated.
+    """
+    every = [point for points in mains for point in points]
+    by_static = all(point.relative is not None for point in every)
+    drawn = empty_figure("deviations", 4.0, [1.5, 1.2])
+    right = _right_end(np.array([point.frequency_hz for point in every]))
+    ends: list[list[FloatArray]] = [[], []]
+    for index, points in enumerate(mains):
+        colour, marker = COLOURS[index % len(COLOURS)], OUTPUT_MARKERS[index % len(OUTPUT_MARKERS)]
+        level, half = polar_bars([point.element for point in points], 1.0)
+        if by_static:
+            relative, half_relative = polar_bars([p.relative for p in points if p.relative is not None], 1.0)
+            level[0], half[0] = relative[0], half_relative[0]
+        else:
+            level[0], half[0] = level[0] / level[0, 0], half[0] / level[0, 0]
+        shift = SHIFT_SHARE * right * (index - 0.5 * (len(mains) - 1))
+        frequency = np.array([point.frequency_hz for point in points]) + shift
+        label = f"{points[0].channel} per {points[0].component}"
+        rows = (100.0 * (level[0] - 1.0), 100.0 * half[0]), (level[1], half[1])
+        for panel, (size, bars), reach in zip(drawn.panels, rows, ends, strict=True):
+            panel.line(frequency, size, label, colour=colour, width=0.6)
+            panel.points(frequency, size, label, half_y=bars, colour=colour, marker=marker)
+            reach += [size - bars, size + bars]
+    for panel, reach in zip(drawn.panels, ends, strict=True):
+        finite = np.concatenate([*reach, np.zeros(1)])
+        panel.y.limits = padded_limits(float(np.nanmin(finite)), float(np.nanmax(finite)))
+        panel.x.limits, panel.x.link = (0.0, 1.04 * right), "frequency"
+        panel.rule(0.0, colour=GREY)
+    upper, lower = drawn.panels
+    upper.y.label = "from static / %" if by_static else "from the first / %"
+    lower.y.label, lower.x.label = "phase / rad", "frequency / Hz"
+    text = "Main elements over frequency, slightly shifted; bars: U."
+    return drawn.with_title("Sensitivity of every output to its load", text, main=True)
+
+
+def _curve_title(points: Sequence[CurvePoint]) -> str:
+    quantity = "Ratio" if {point.kind for point in points} == {"ratio"} else "Sensitivity"
+    return f"{quantity}, output {points[0].channel} per load {points[0].component}"
+
+
+def _matching(points: Sequence[CurvePoint], curves: Iterable[SensitivityCurve]) -> list[tuple[SensitivityCurve, int]]:
+    """Return the curves that have the element of some points, with its index in each."""
+    first, kinds = points[0], {point.kind for point in points}
+    return [
+        (curve, e)
+        for curve in curves
+        for e, (c, j) in enumerate(curve.elements)
+        if (curve.channels[c], LOAD_COMPONENTS[j]) == (first.channel, first.component) and curve.kind in kinds
+    ]
 
 
 def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
@@ -168,14 +223,15 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
         return None
     chosen = np.linspace(0, len(cross_talks) - 1, min(len(cross_talks), LARGEST_MAPS)).round().astype(int)
     maps = [cross_talks[index] for index in np.unique(chosen)]
-    rows, cells = -(-len(maps) // MAP_COLUMNS), max(len(found.channels) for found in maps)
+    columns = min(MAP_COLUMNS, len(maps))
+    rows, cells = -(-len(maps) // columns), max(len(found.channels) for found in maps)
     every = np.concatenate([_map(found).ravel() for found in maps])
     sizes = every[np.isfinite(every) & (every > 0.0)]
     high = float(sizes.max()) if sizes.size else 1.0
     low = max(float(sizes.min()), 1e-3 * high) if sizes.size else 0.1
     label = "share of the rated output / %, or upper bound"
     scale = Scale("Blues", low, high if high > low else 10.0 * low, label, log=True)
-    drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, MAP_COLUMNS, shared_x=False)
+    drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, columns, shared_x=False)
     for panel, found in zip(drawn.panels, maps, strict=False):
         _draw_map(panel, found, scale)
     for panel in drawn.panels[len(maps) :]:

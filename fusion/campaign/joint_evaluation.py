@@ -46,7 +46,7 @@ from fusion.report.table import (
     polar_cells,
     table,
 )
-from fusion.report.tables import deviation, result_name
+from fusion.report.tables import deviation, result_name, verdict
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shakercal._common.digits import DASH, quantity_text, scaled_text, small, times_ten
 from shakercal._common.notices import Notice
@@ -293,15 +293,17 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         best = best_points(points)
         first, last = best[0], best[-1]
         expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
-        remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f}), {first.kind}"
+        many = len(mains) > FULL_HEADLINES
+        remark = f"U = {small(expanded[0])} %" + ("" if many else f" (k = {first.element.k:.2f})")
         if first.relative is not None:
-            remark += f"; from static: {deviation(first.relative)}"
+            judged = verdict(first.relative)
+            remark += f"; {judged.partition(':')[0] if many else judged}"
         name = result_name(first.kind, first.channel, first.component, main=True)
         name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
         label = f"{name}, {first.frequency_hz:.4f} Hz"
         size = quantity_text(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
-        if len(mains) > FULL_HEADLINES or len(best) < 2:
+        if many or len(best) < 2:
             continue
         if last.relative is not None:
             label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
@@ -376,8 +378,8 @@ def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     return [Headline("New mounting, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
 
 
-def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
-    """Return the largest cross-talk that has been shown."""
+def largest_crosstalk(evaluation: CampaignEvaluation) -> tuple[CrossTalk, int, int] | None:
+    """Return the largest cross-talk that has been shown: its matrix, output and load."""
     best: tuple[float, CrossTalk, int, int] | None = None
     for found in evaluation.cross_talks:
         bounds = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
@@ -385,9 +387,15 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
         index = divmod(int(np.argmax(bounds)), bounds.shape[1])
         if np.isfinite(bounds[index]) and (best is None or bounds[index] > best[0]):
             best = float(bounds[index]), found, *index
+    return None if best is None else best[1:]
+
+
+def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
+    """Return the largest cross-talk that has been shown."""
+    best = largest_crosstalk(evaluation)
     if best is None:
         return []
-    _, found, c, j = best
+    found, c, j = best
     size = quantity_text(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
     return [Headline("Largest significant cross-talk", size, where)]

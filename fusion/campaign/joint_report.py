@@ -15,15 +15,24 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import count_text
-from fusion.campaign.campaign_figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
+from fusion.campaign.campaign_figures import (
+    draw_crosstalk,
+    draw_curve,
+    draw_deviations,
+    draw_excitation,
+    draw_outputs,
+    draw_recordings,
+)
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.excited_line import DiskStore
 from fusion.campaign.joint_evaluation import (
     CampaignEvaluation,
+    best_points,
     curve_points,
     curve_tables,
     evaluate_campaign,
     headlines,
+    largest_crosstalk,
     main_channel,
     main_points,
 )
@@ -35,6 +44,7 @@ from fusion.campaign.unknowns import JointUnknown
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.uncertainty import polar_elements
 from fusion.report.atomic_files import report_write_errors, staging_dir, write_files, write_together
+from fusion.report.figure import Figure
 from fusion.report.folder import (
     CURVE_FILE,
     RESULT_FILE,
@@ -58,9 +68,12 @@ from fusion.report.recording_report import (
     merged_table,
     sensitivity_elements,
 )
+from fusion.report.result_figures import draw_contributions
 from fusion.report.table import Table, TableColumn, csv_text, page_column, polar_columns, table, text_column
+from fusion.report.tables import result_name
 from fusion.report.traceability import largest_of, trace_inputs, traceability
 from fusion.sensitivity.input_evidence import InputEvidence
+from fusion.sensitivity.load_phasors import budget
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shakercal._common.arrays import FloatArray
@@ -410,6 +423,8 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
         for points in mains.values()
     ]
+    singles = [draw_recordings(points, evaluation.curves, evaluation.excited_lines, stated) for points in drawn]
+    best = [best_points(points) for points in mains.values()]
     gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
     listed = [notice for notice in gathered if notice.is_listed]
     tabulated = [notice.each[0][0] for notice in gathered if not notice.is_listed]
@@ -422,9 +437,14 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {
         "name": evaluation.name,
+        "simulated": any(entry.simulated for entry in evaluation.recorded),
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),
-        "curves": [draw_curve(points, evaluation.curves, evaluation.excited_lines, stated) for points in drawn],
+        "failed": len(evaluation.failed),
+        "pictures": _main_pictures(evaluation, drawn, best),
+        "budget": [figure for figure in [_main_budget(evaluation, best)] if figure],
+        "curves": [draw_curve(points, evaluation.curves) for points in drawn] if len(drawn) > 1 else [],
+        "singles": [figure for figure in singles if figure],
         "curve_tables": curve_tables(mains),
         "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
         "maps": [figure for figure in [draw_crosstalk(evaluation.cross_talks)] if figure],
@@ -442,6 +462,35 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         **frame,
     }
     return render_page("campaign.html", context)
+
+
+def _main_pictures(
+    evaluation: CampaignEvaluation, drawn: Sequence[Sequence[CurvePoint]], best: Sequence[Sequence[CurvePoint]]
+) -> list[Figure]:
+    """Return the figures of the first screen.
+
+    These are the curve or all main elements, and the map of the largest cross-talk. `drawn`, `best`: points of every
+    main element to draw, and those of the best kind.
+    """
+    figures = [draw_curve(drawn[0], evaluation.curves)] if len(drawn) == 1 else [draw_deviations(best)] if best else []
+    largest = largest_crosstalk(evaluation)
+    found = None if largest is None else draw_crosstalk([largest[0]])
+    return figures if found is None else [*figures, replace(found, name="crosstalk-largest")]
+
+
+def _main_budget(evaluation: CampaignEvaluation, best: Sequence[Sequence[CurvePoint]]) -> Figure | None:
+    """Return the budget of the first value of the first main element."""
+    first = next((points[0] for points in best if points), None)
+    for curve in evaluation.curves:
+        for e, (c, j) in enumerate(curve.elements):
+            here = (curve.kind, curve.channels[c], LOAD_COMPONENTS[j])
+            if first is None or here != (first.kind, first.channel, first.component):
+                continue
+            line = int(np.argmin(np.abs(curve.frequency_hz - first.frequency_hz)))
+            entries = budget(curve.uncertainty.at([e]).at_lines([line]), curve.value[line, e].reshape(1, 1))
+            name = result_name(first.kind, first.channel, first.component, main=True)
+            return draw_contributions(entries, (0, 0), f"{name}, {first.frequency_hz:.4f} Hz")
+    return None
 
 
 def _page(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> str:

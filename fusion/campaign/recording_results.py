@@ -68,9 +68,9 @@ class RecordingResults:
     """Results of one recording, read from its folder.
 
     `kind`, `direction`, `frequencies`: of the excitation as stated. `excited_lines`: its driven lines with load and
-    outputs; empty without a load, an output or a stated direction. `notices`: those of its report. `date`: as stated.
-    `evidence`: its unknowns that certificates and files state. `knowledge`: returns the estimate of its unknowns by its
-    readings; None without a load or if its instruments contradict each other.
+    outputs; empty without a load, an output or a stated direction. `notices`: those of its report. `date`,
+    `simulated`: as stated. `evidence`: its unknowns that certificates and files state. `knowledge`: returns the
+    estimate of its unknowns by its readings; None without a load or if its instruments contradict each other.
     """
 
     folder: str
@@ -85,6 +85,7 @@ class RecordingResults:
     notices: tuple[Notice, ...]
     origin: Provenance
     date: Date | None = None
+    simulated: bool = False
     evidence: tuple[InputEvidence, ...] = ()
     knowledge: Callable[[], Knowledge] | None = None
 
@@ -138,6 +139,7 @@ def read_recorded(folder: str | Path) -> RecordingResults:
             notices=read_notices(file),
             origin=provenance_of(file),
             date=Date.fromisoformat(file.attrs["date"]) if "date" in file.attrs else None,
+            simulated=bool(file.attrs.get("simulated", False)),
             evidence=read_evidence(file),
             knowledge=_knowledge(file),
         )

@@ -406,6 +406,7 @@ def _run_options(parser: Parser) -> None:
     parser.value("--monte-carlo", draws, "N", text, default=0)
     parser.value("--seed", seed, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
     parser.json()
+    parser.pdf()
     parser.switch("--save-points", "write every point of every frame too, as a table and for ParaView (.pvd)")
     where = parser.add_mutually_exclusive_group()
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
@@ -422,6 +423,8 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.run_summary import as_json, print_outcomes
+    from fusion.report.recording_report import REPORT_FILE
+    from fusion.report.summary_pdf import write_requested_pdf
     from photogram.device import resolve_device
 
     settings = Settings(
@@ -446,6 +449,8 @@ def run(options: argparse.Namespace) -> int:
         print(as_json(outcomes, campaign=campaign))
     else:
         print_outcomes(outcomes, campaign=campaign)
+    if done := [outcome.folder for outcome in outcomes if outcome.error is None]:
+        write_requested_pdf((done[0].parent if campaign else done[0]) / REPORT_FILE)
     return exit_status(outcomes)
 
 

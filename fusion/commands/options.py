@@ -57,6 +57,11 @@ class Parser(argparse.ArgumentParser):
         """Add result folder and permission to overwrite; `default`: description of the default."""
         self.add_argument("-o", "--output", type=path, metavar="RESULTS", help=f"result folder (default: {default})")
         self.switch("--force", "overwrite existing results")
+        self.pdf()
+
+    def pdf(self) -> None:
+        """Add the summary as a PDF file."""
+        self.value("--pdf", pdf, "FILE.pdf", "write the summary of the page, too, printed by a browser of this machine")
 
     def figure_and_table(self, figure_text: str, table_text: str) -> None:
         """Add a figure and a table as additional outputs."""
@@ -230,12 +235,19 @@ def figure(text: str) -> Path:
     return file
 
 
-def page(text: str) -> Path:
-    """Return the path of a page."""
-    file = path(text)
-    if file.suffix.lower() != ".html":
-        raise argparse.ArgumentTypeError(f"expected a name that ends in .html, found {text}")
-    return file
+def _named(suffix: str) -> Callable[[str], Path]:
+    """Return the argument type of a file whose name has a suffix."""
+
+    def check(text: str) -> Path:
+        file = path(text)
+        if file.suffix.lower() != suffix:
+            raise argparse.ArgumentTypeError(f"expected a name that ends in {suffix}, found {text}")
+        return file
+
+    return check
+
+
+page, pdf = _named(".html"), _named(".pdf")
 
 
 def device(choice: str) -> str:

@@ -106,6 +106,7 @@ class Manifest:
     date: Date | None = None
     operator: str | None = None
     procedure: str | None = None
+    simulated: bool = False
     acknowledged: tuple[Acknowledgement, ...] = ()
     inputs: tuple[UncertainInput, ...] = ()
     signature_notices: tuple[Notice, ...] = ()
@@ -373,6 +374,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
+        simulated=record.simulated,
         acknowledged=(*rig.acknowledged, *record.acknowledged),
         inputs=(*of_rig, *_own_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(

@@ -530,6 +530,7 @@ class RecordingFile(SetUpFiles):
 
     format: Version
     name: Text
+    simulated: bool = False
     rig: Text
     mounting: Text = "1"
     date: Date | None = None

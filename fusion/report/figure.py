@@ -29,6 +29,8 @@ PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
 """Colours of -180, -90, 0, 90 and 180 degrees."""
 FEW, STRETCHES = 200, 1500
 """Largest number of values with ten digits; number of stretches of a long line whose extremes are drawn."""
+WIDTH_IN, SHEET_IN = 8.4, 11.0
+"""Width of a page's figure, and largest height on A4 paper at that width, which is scaled to the paper's."""
 Along = Literal["x", "y"]
 
 
@@ -298,8 +300,8 @@ class Panel:
 class Figure:
     """Panels row by row with a title and a caption of one or two sentences.
 
-    `height_in`: of the printed one, at the page's width; `heights` and `widths`: shares of rows and columns; `main`:
-    printed, and shown where the page may run no programs.
+    `height_in`, `width_in`: of the printed one; `heights` and `widths`: shares of rows and columns; `main`: shown where
+    the page may run no programs, too.
     """
 
     name: str
@@ -312,10 +314,23 @@ class Figure:
     title: str = ""
     caption: str = ""
     main: bool = False
+    width_in: float = WIDTH_IN
 
     def with_title(self, title: str, caption: str, *, main: bool = False) -> Figure:
         """Return the figure with title and caption."""
         return replace(self, title=title, caption=caption, main=main)
+
+    def sheets(self) -> list[Figure]:
+        """Return the figure in parts of whole rows that fit on a sheet of paper."""
+        columns, parts, first = len(self.widths), list[Figure](), 0
+        each = np.asarray(self.heights) * self.height_in / sum(self.heights)
+        for row in range(1, len(each) + 1):
+            if row == len(each) or each[first : row + 1].sum() > SHEET_IN:
+                panels = self.panels[first * columns : row * columns]
+                height_in = float(each[first:row].sum())
+                parts.append(replace(self, panels=panels, heights=self.heights[first:row], height_in=height_in))
+                first = row
+        return parts
 
     def json(self) -> str:
         """Return the figure as JSON for `figures.js`, without default values."""

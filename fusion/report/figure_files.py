@@ -20,8 +20,8 @@ from matplotlib.path import Path as Outline
 from matplotlib.text import Text
 from matplotlib.transforms import Affine2D, Transform
 
-from fusion.report.figure import Figure
-from fusion.report.static_figure import PT, WIDTH_IN, static_svg
+from fusion.report.figure import WIDTH_IN, Figure
+from fusion.report.static_figure import PT, static_svg
 
 PNG_DPI = 200
 """Resolution of PNG files (chosen for print)."""
@@ -77,7 +77,7 @@ def render_figure(figure: Figure, kind: str = "svg") -> bytes:
     if kind == "svg":
         return svg.encode()
     with drawing(figure.name):
-        canvas = new_figure(figure.height_in)
+        canvas = new_figure(figure.height_in, figure.width_in)
         page = Affine2D().scale(1.0 / PT, -1.0 / PT).translate(0.0, figure.height_in) + canvas.dpi_scale_trans
         for artist in _artists(svg, page):
             canvas.add_artist(artist)

@@ -39,6 +39,7 @@ from fusion.report.report_notices import (
     UNREADABLE_INPUT,
 )
 from fusion.report.static_figure import static_svg
+from fusion.report.summary_pdf import write_requested_pdf
 from fusion.report.table import Headline, Table, code_html, csv_rows, notice_frame
 from fusion.report.terminal import AS_JSON, log_notices, print_text, show_activity
 from shakercal._common.digits import number_text
@@ -322,7 +323,12 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         """Return the data of all registered figures."""
         return compress_for_page(f"[{','.join(figure.json() for figure in shown)}]".encode())
 
-    page = {"shown": shown, "live": live, "figures_data": figures_data}
+    def figures_paper() -> Markup:
+        """Return the images for paper of all figures whose image is not in the text."""
+        images = {one.name: [static_svg(part) for part in one.sheets()] for one in shown if not one.main}
+        return compress_for_page(json.dumps(images).encode())
+
+    page = {"shown": shown, "live": live, "figures_data": figures_data, "figures_paper": figures_paper}
     return _environment().get_template(template, globals=page).render(context) + "\n"
 
 
@@ -340,6 +346,7 @@ def _environment() -> Environment:
         "data_uri": data_uri,
         "sections": sections,
         "static_svg": static_svg,
+        "summary_svg": summary_svg,
         "code_html": code_html,
         "number": number_text,
     }
@@ -348,6 +355,11 @@ def _environment() -> Environment:
         "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
     }
     return environment
+
+
+def summary_svg(figure: Figure, width_in: float, most_in: float) -> str:
+    """Return a figure for the summary, of a width and at most of a height."""
+    return static_svg(replace(figure, width_in=width_in, height_in=min(figure.height_in, most_in)))
 
 
 def compress_for_page(data: bytes, level: int = 1) -> Markup:
@@ -398,7 +410,7 @@ def data_uri(svg: str) -> Markup:
     Percent encoding is shorter than base64 for text.
     """
     flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
-    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
+    return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?$[]{}|~")))
 
 
 # Commands.
@@ -465,11 +477,12 @@ class CommandReport(Generic[E]):
             files = self.write(evaluation, folder, inputs, force=force)
         if AS_JSON.get():
             print(self.json(evaluation, files))
-            return evaluation
-        for line in (evaluation.name, *self.lines(evaluation)):
-            print_text(line)
-        print(f"report: {folder / self.page_file}")
-        log_notices((notice, "") for notice in warnings_first(evaluation.notices))
+        else:
+            for line in (evaluation.name, *self.lines(evaluation)):
+                print_text(line)
+            print(f"report: {folder / self.page_file}")
+            log_notices((notice, "") for notice in warnings_first(evaluation.notices))
+        write_requested_pdf(folder / self.page_file)
         return evaluation
 
     def json(self, evaluation: E, files: Sequence[Path]) -> str:
@@ -507,7 +520,8 @@ class CommandReport(Generic[E]):
 
         def acknowledging(hashes: dict[str, str]) -> E:
             evaluation: Any = evaluate(hashes)
-            made: E = replace(evaluation, notices=acknowledge(evaluation.notices, acknowledged))
+            notices, simulated = acknowledge(evaluation.notices, acknowledged), any(one.simulated for one in manifests)
+            made: E = replace(evaluation, notices=notices, simulated=simulated)
             return made
 
         parent = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
@@ -545,7 +559,8 @@ class CommandReport(Generic[E]):
     def page(self, evaluation: E) -> str:
         """Return the HTML text of the page, including style and figures."""
         frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
-        heading = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
+        simulated, headlines = evaluation.simulated, list(self.headlines(evaluation))
+        heading = {"name": evaluation.name, "simulated": simulated, "headlines": headlines}
         return render_page(f"{self.name}.html", {**heading, **self.context(evaluation), **frame})
 
 

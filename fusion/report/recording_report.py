@@ -213,6 +213,7 @@ def render_report(evaluation: Evaluation) -> str:
     images = moving_images(evaluation.stereo, evaluation.manifest.rig.stereo, body_displacements(evaluation))
     context = {
         "name": evaluation.manifest.name,
+        "simulated": evaluation.manifest.simulated,
         "subject": _subject(evaluation),
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
@@ -363,6 +364,8 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: P
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)
         file.attrs["mounting"] = manifest.mounting
+        if manifest.simulated:
+            file.attrs["simulated"] = True
         if manifest.date is not None:
             file.attrs["date"] = manifest.date.isoformat()
         if evidence := _evidence(evaluation):

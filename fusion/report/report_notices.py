@@ -39,6 +39,23 @@ NO_BOKEH = DeclaredNotice(
     remedy="Run `pip install bokeh`.",
 )
 
+NO_BROWSER = DeclaredNotice(
+    "SC-945",
+    "error",
+    "expected a browser that prints the summary, found none of {names}",
+    effect="The command did not start.",
+    remedy="Install Chromium, Chrome or Edge, or leave the option out: any browser prints the page, the summary first.",
+    link="results.md#on-paper",
+)
+NOT_PRINTED = DeclaredNotice(
+    "SC-946",
+    "error",
+    "the browser {browser} printed no summary ({reason})",
+    effect="The results are complete; only the PDF file is missing.",
+    remedy="Open the page in a browser and print it; its first sheet is the summary.",
+    link="results.md#on-paper",
+)
+
 # Input files that are hashed.
 
 

@@ -47,6 +47,7 @@ from fusion.report.tables import (
     static_value,
 )
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.load_phasors import BudgetEntry
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shakercal._common.arrays import BoolArray, FloatArray
@@ -261,7 +262,17 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     if main is None:
         return None
     sensitivity, element = main
-    u_relative = np.array([entry.u_relative[line, element] for entry in sensitivity.budget])
+    channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
+    name = result_name(sensitivity.kind[line], channel, load, main=True)
+    return draw_contributions(sensitivity.budget, (line, element), f"{name}, {sensitivity.frequency_hz[line]:.4f} Hz")
+
+
+def draw_contributions(budget: Sequence[BudgetEntry], index: tuple[int, int], quantity: str) -> Figure | None:
+    """Draw the contributions to the magnitude of one value, with shares of the variance.
+
+    `index`: line and column of the value; `quantity`: its name. None if they are not determined.
+    """
+    u_relative = np.array([entry.u_relative[index] for entry in budget])
     if not np.isfinite(u_relative).all() or not u_relative.any():
         return None
     order = np.argsort(u_relative)[::-1]
@@ -269,7 +280,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     share = 100.0 * u_relative**2 / np.sum(u_relative**2)
     drawn = empty_figure("budget", 0.85 + 0.24 * len(order))
     (panel,) = drawn.panels
-    entries = [sensitivity.budget[entry] for entry in order]
+    entries = [budget[entry] for entry in order]
     for kind, colour in (("A", BLUE), ("B", ORANGE)):
         rows = np.flatnonzero([entry.type == kind for entry in entries])
         names = tuple(f"{entries[row].label}, {number_text(share[order[row]], 2)} % of the variance" for row in rows)
@@ -278,14 +289,10 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     texts = [f"{share[entry]:.1f} %" if share[entry] >= 0.05 else "< 0.1 %" for entry in order]
     panel.text(100.0 * u_relative[order], np.arange(len(order)), texts, align="left", offset_px=(4.0, 0.0))
     panel.y.names = tuple(entry.label for entry in entries)
-    panel.x.label = "relative standard uncertainty (k = 1) / %"
-    panel.x.limits = (0.0, 115.0 * float(u_relative.max()))
-    channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
-    quantity = (
-        f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
-    )
-    caption = f"Uncertainty budget of the magnitude of {quantity}; next to each bar its share of the variance."
-    return drawn.with_title("Uncertainty budget", caption, main=True)
+    panel.x.label = "relative u (k = 1) / %"
+    panel.x.limits = (0.0, 125.0 * float(u_relative.max()))
+    caption = "Contributions to the standard uncertainty of the magnitude; next to each bar its share of the variance."
+    return drawn.with_title(f"Uncertainty budget, {quantity}", caption, main=True)
 
 
 def _output_scale(

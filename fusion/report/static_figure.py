@@ -11,10 +11,13 @@ import numpy as np
 from fusion.report.figure import (
     BLACK,
     Along,
+    Arrows,
     Band,
     Bounds,
     Boxes,
+    Ellipses,
     Figure,
+    Image,
     Line,
     Mark,
     Panel,
@@ -46,8 +49,7 @@ from fusion.report.svg_marks import (
 from shakercal._common.arrays import FloatArray
 from shakercal._common.digits import exponent_of, number_text, power_text, tick_texts
 
-WIDTH_IN, CHARACTER_IN = 8.4, 0.066
-"""Width of a page's figure, and mean width of a character in its font."""
+CHARACTER_IN = 0.066  # mean width of a character
 MARGIN = 0.05  # share of the range of all marks beyond the outermost one
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 MOST_DECADES = 8
@@ -61,28 +63,25 @@ MOST_STEPS, CLOSEST_PT = 8, 11.0
 
 
 def static_svg(figure: Figure) -> str:
-    """Return a figure as SVG text of the page's width; equal figures give equal text.
-
-    Images, arrows and ellipses are drawn in the browser only.
-    """
+    """Return a figure as SVG text; equal figures give equal text."""
     entries = dict[str, Mark]()
     for panel in figure.panels:
         for mark in panel.marks:
             if mark.label:
                 entries.setdefault(mark.label, mark)
-    legend, legend_pt = _legend(entries)
+    legend, legend_pt = _legend(entries, figure.width_in)
     parts = [f'<rect width="100%" height="100%" fill="#fff"/>{legend}']
     columns, upright = len(figure.widths), has_upright_names(figure)
     every = frames(figure, legend_pt / PT)
     for index, frame in enumerate(every):
         row, column = divmod(index, columns)
-        until = every[index + 1].left - POWER_IN if column < columns - 1 else WIDTH_IN
+        until = every[index + 1].left - POWER_IN if column < columns - 1 else figure.width_in
         until -= POWER_IN if figure.panels[index].y.second is not None else 0.0
         inner = (figure.shared_x and row < len(figure.heights) - 1, figure.shared_y and column > 0)
         rect = replace(_panel_rect(figure, index, frame), title=PT * (until - frame.left) - 4.0)
         parts += _panel(figure.panels[index], rect, f"c{index}", inner, upright=upright)
     body = "".join(parts)
-    wide, tall = f"{PT * WIDTH_IN:g}", f"{PT * figure.height_in:g}"
+    wide, tall = f"{PT * figure.width_in:g}", f"{PT * figure.height_in:g}"
     head = f'width="{wide}pt" height="{tall}pt" viewBox="0 0 {wide} {tall}" fill="none" stroke-linejoin="round"'
     names = f'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" font-family="{FONT}"'
     return f'<?xml version="1.0" encoding="utf-8"?>\n<svg {names} {head}>\n{body}\n</svg>\n'
@@ -271,9 +270,9 @@ def _bar(rect: PanelRect, scale: Scale) -> Iterator[str]:
     yield from _bottom(spec, below, _Ticks.of(spec, below.x), hidden=False, upright=False)
 
 
-def _legend(entries: dict[str, Mark]) -> tuple[str, float]:
+def _legend(entries: dict[str, Mark], width_in: float) -> tuple[str, float]:
     """Return the legend of all marks, and the height of its rows."""
-    left, end = 0.05 * PT * WIDTH_IN, PT * (WIDTH_IN - 0.1)
+    left, end = 0.05 * PT * width_in, PT * (width_in - 0.1)
     parts, x, rows = [], left, 1 if entries else 0
     for name, mark in entries.items():
         wide = SIGN_PT + 6.4 + NUMBER_PT * width(name)
@@ -292,8 +291,8 @@ def _legend_sign(mark: Mark, x: float, y: float) -> Iterable[str]:
     """Return the symbol of a mark in the legend."""
     across, up = AxisScale(0.0, 1.0, x, x + SIGN_PT), AxisScale(-1.0, 1.0, y + 3.0, y - 3.0)
     rect, half, one = PanelRect(across, up), np.array([0.5]), np.zeros(1)
-    if isinstance(mark, Line | Rule):
-        dashed = mark.dashed
+    if isinstance(mark, Line | Rule | Ellipses | Arrows):
+        dashed = getattr(mark, "dashed", False)
         return DRAWN[Line](
             rect, Line(x=np.array([0.0, 1.0]), y=np.zeros(2), colour=mark.colour, width=1.1, dashed=dashed)
         )
@@ -350,7 +349,7 @@ def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
     if figure.shared_y:
         left_margins = [left_margins[0], *([0.12] * (columns - 1))]
     width, height = (
-        WIDTH_IN - sum(left_margins) - sum(right_margins),
+        figure.width_in - sum(left_margins) - sum(right_margins),
         figure.height_in - legend_in - sum(top_margins) - sum(bottom_margins),
     )
     lefts = np.cumsum([0.0, *(width * w / sum(figure.widths) for w in figure.widths)]).tolist()
@@ -370,7 +369,7 @@ def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
 
 def has_upright_names(figure: Figure) -> bool:
     """Return whether names below a panel must be upright, since they would overlap."""
-    characters = WIDTH_IN / len(figure.widths) / CHARACTER_IN
+    characters = figure.width_in / len(figure.widths) / CHARACTER_IN
     return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * characters for panel in figure.panels)
 
 
@@ -425,7 +424,12 @@ def _reach(mark: Mark, axis_name: Along) -> Iterator[Any]:
         yield from (mark.at,) if mark.along == axis_name else ()
     elif isinstance(mark, Boxes):
         yield from (mark.left, mark.right) if along_x else (mark.low, mark.high)
-    elif isinstance(mark, Line):
+    elif isinstance(mark, Ellipses):
+        half, values = 0.5 * np.maximum(mark.width, mark.height), mark.x if along_x else mark.y
+        yield from (values - half, values + half)
+    elif isinstance(mark, Image):
+        yield [mark.left, mark.right] if along_x else [mark.top, mark.bottom]
+    elif isinstance(mark, Line | Arrows):
         yield mark.x if along_x else mark.y
 
 

@@ -10,7 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from fusion.report.figure import BLACK, LIGHT, Band, Bounds, Boxes, Line, Mark, Points, Rule, Scale, Span, Texts
+from fusion.report.figure import (
+    BLACK,
+    LIGHT,
+    Arrows,
+    Band,
+    Bounds,
+    Boxes,
+    Ellipses,
+    Image,
+    Line,
+    Mark,
+    Points,
+    Rule,
+    Scale,
+    Span,
+    Texts,
+    jpeg_uri,
+)
 from shakercal._common.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
@@ -35,6 +52,9 @@ COLOURS = {
         "#053061", "#2065ab", "#4393c3", "#90c4dd", "#d1e5f0", "#f7f6f6", "#fddbc7", "#f3a481", "#d6604d", "#b1182b",
         "#67001f",
     ),
+    "cividis": (
+        "#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838",
+    ),
 }  # fmt: skip
 """Colours of the named scales at equal steps."""
 OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
@@ -49,6 +69,7 @@ OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
     ),
 }  # fmt: skip
 """Corners of markers in halves of their size, y downwards."""
+OUTLINE_POINTS = 72  # of an ellipse
 STROKES = {"x": ((-1, -1, 1, 1), (-1, 1, 1, -1)), "plus": ((-1, 0, 1, 0), (0, -1, 0, 1))}
 
 
@@ -294,6 +315,26 @@ def _texts(rect: PanelRect, mark: Texts) -> Iterator[str]:
             yield svg_text(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
 
 
+def _ellipses(rect: PanelRect, mark: Ellipses) -> Iterator[str]:
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, OUTLINE_POINTS, endpoint=False))
+    halves = 0.5 * (mark.width[:, None] * turn.real + 1j * mark.height[:, None] * turn.imag)
+    outline = (mark.x + 1j * mark.y)[:, None] + halves * np.exp(1j * mark.angle_rad)[:, None]
+    corners = np.stack([rect.x(outline.real), rect.y(outline.imag)], 2)
+    yield path(polygons(corners), stroke(mark.colour, 1.1))
+
+
+def _arrows(rect: PanelRect, mark: Arrows) -> Iterator[str]:
+    start, end = rect.positions(mark.x, mark.y), rect.positions(mark.x + mark.dx, mark.y + mark.dy)
+    yield path(strokes(np.hstack([start, end])), stroke(mark.colour, 0.8))
+    yield _heads(start, end, 4.0, mark.colour)
+
+
+def _image(rect: PanelRect, mark: Image) -> Iterator[str]:
+    (left, top), (right, bottom) = rect.positions([mark.left, mark.right], [mark.top, mark.bottom]).tolist()
+    size = f'width="{right - left:.2f}" height="{bottom - top:.2f}" preserveAspectRatio="none"'
+    yield f'<image x="{left:.2f}" y="{top:.2f}" {size} href="{jpeg_uri(mark.grey)}"/>'
+
+
 DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Line: _line,
     Points: _points,
@@ -303,6 +344,9 @@ DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Rule: _rule,
     Boxes: _boxes,
     Texts: _texts,
+    Ellipses: _ellipses,
+    Arrows: _arrows,
+    Image: _image,
 }
-HEIGHTS = ((Span,), (), (Band, Boxes), (Line, Rule, Bounds), (Points,), (Texts,))
-"""Drawing order of marks, lowest first; the grid is the second. Other marks are drawn in the browser only."""
+HEIGHTS = ((Image, Span), (), (Band, Boxes), (Line, Rule, Bounds, Ellipses, Arrows), (Points,), (Texts,))
+"""Drawing order of marks, lowest first; the grid is the second."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -185,7 +185,20 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
             unit = result.phasors.unit[component]
             size, remark = quantity_text(element.magnitude, element.expanded_magnitude, unit), _relative(element)
         found.append(Headline(f"{label}, amplitude", size, remark))
-    return found
+    return [*found, *_deformation_headlines(evaluation, line)]
+
+
+def _deformation_headlines(evaluation: Evaluation, line: int) -> Iterator[Headline]:
+    """Yield the largest deformation at a line of every pair that shows one."""
+    for pair in evaluation.stereo:
+        lines = np.flatnonzero(pair.usable).tolist()
+        if pair.shapes is None or line not in lines or not pair.shapes.deforms[lines.index(line)]:
+            continue
+        k, shapes = lines.index(line), pair.shapes
+        largest = int(np.argmax(np.abs(shapes.phasors.value[k])))
+        size, u = float(np.abs(shapes.phasors.value[k, largest])), float(shapes.u_size[k, largest])
+        label = f"Bending of the {pair.body}, {shapes.phasors.channels[largest]}"
+        yield Headline(label, quantity_text(1e9 * size, 2e9 * u, "nm"), f"seen by stereo pair {pair.name}")
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
@@ -343,7 +356,7 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     element = sensitivity_element(found, line, channel, component)
     unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
     relative = _over_static(evaluation, found, line, (channel, component))
-    remark = _relative(element) + ("" if relative is None else f"; {_verdict(relative)}")
+    remark = _relative(element) + ("" if relative is None else f"; {verdict(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
     label = f"Sensitivity {name}" if found.kind[line] == "element" else capitalise(name)
     size = quantity_text(element.magnitude, element.expanded_magnitude, unit)
@@ -366,7 +379,7 @@ def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element:
     return relative
 
 
-def _verdict(relative: Polar) -> str:
+def verdict(relative: Polar) -> str:
     """Return whether a magnitude agrees with its static value, and the deviation."""
     agrees = abs(relative.magnitude - 1.0) <= relative.expanded_magnitude
     words = "agrees with the static value" if agrees else "differs from the static value"

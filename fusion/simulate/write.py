@@ -41,8 +41,9 @@ def write_recording(
     records: Mapping[str, Record] | None = None,
     texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write the folder of a recording, and return it."""
+    """Write the folder of a recording, which states that it is simulated, and return it."""
     folder.mkdir(parents=True)
+    manifest = {"format": manifest["format"], "name": manifest["name"], "simulated": True, **manifest}
     for name, recorded in (records or {}).items():
         write_record(folder / name, recorded)
     write_files(folder, {**(texts or {}), MANIFEST_FILE: to_toml(manifest), TRUTH_FILE: json.dumps(truth)})

@@ -12,6 +12,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from browsing import below_the_first_screen, paper
 from contracts import refused
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
@@ -260,7 +261,7 @@ def test_the_example_of_the_page_combines_two_elements(swept, tmp_path, monkeypa
 def test_page_of_a_sweep(swept):
     found = outline(render_campaign(swept))
     sections = {"result", "notices", "sensitivity", "outputs", "matrix", "repeats", "recordings", "origin"}
-    assert sections | {"figure-curve-Fz-Fz"} <= set(found.ids)
+    assert sections | {"figure-curve-Fz-Fz", "figure-recordings-Fz-Fz"} <= set(found.ids)
     reports = [address for address in found.addresses if not address.startswith(("#", "data:image/svg+xml"))]
     assert set(reports) == {f"{entry.folder}/report.html" for entry in swept.recorded}
     text = "".join(found.text)
@@ -274,10 +275,26 @@ def test_page_of_a_sweep(swept):
 
 def test_page_of_a_matrix(matrix):
     found = outline(render_campaign(replace(matrix, curves=matrix.curves[-2:], relative=matrix.relative[-2:])))
-    assert {"figure-crosstalk", "figure-excitation", "figure-curve-Mz-Mz"} <= set(found.ids)
+    assert {
+        "figure-crosstalk",
+        "figure-crosstalk-largest",
+        "figure-excitation",
+        "figure-curve-Mz-Mz",
+        "figure-budget",
+    } <= set(found.ids)
     text = "".join(found.text)
     assert headlines(matrix, {})[-1].label in text
     assert f"{matrix.matrices[0].chi2:.1f} / {matrix.matrices[0].dof}" in text
+
+
+@pytest.mark.parametrize("name", ["swept", "matrix"])
+def test_first_screen_and_paper_of_a_campaign(browser, name, request, tmp_path):
+    file = tmp_path / "report.html"
+    file.write_text(render_campaign(request.getfixturevalue(name)), encoding="utf-8")
+    assert below_the_first_screen(browser, file, ".front .plot") == []
+    found = paper(browser, file, tmp_path / "report.pdf")
+    assert found.pop("summary_mm") < 297.0 - 2 * 16.0
+    assert found == {"missing": [], "broken": 0, "wide": [], "blank": []}
 
 
 def weaker(entry: RecordingResults, share: float) -> RecordingResults:

@@ -11,14 +11,19 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from browsing import Page
+from browsing import Page, below_the_first_screen, marks_of_pages, paper
 from evaluation_factory import make_evaluation
 
+from fusion.cli import main
+from fusion.errors import ComputeError
 from fusion.report.figure import RED, Figure, Scale, empty_figure
 from fusion.report.folder import TEMPLATES
 from fusion.report.recording_report import render_report, write_results
+from fusion.report.report_notices import NO_BROWSER, NOT_PRINTED
+from fusion.report.summary_pdf import find_browser, print_summary
 from shakercal._common.digits import number_text, python_number, quantity_text
 
+A4_MM = 297.0 - 2 * 16.0  # height within the margins
 NASTY = "</script><b>\"'&\u2028 <!-- name"
 
 
@@ -102,7 +107,7 @@ PAGES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PAGES)
-def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
+def test_every_figure_of_every_command_is_drawn(browser, preset, commanded, tmp_path):
     (page,) = commanded(preset).rglob(PAGES[preset])
     opened = Page(browser, page)
     names = opened.page.eval_on_selector_all("figure[data-figure]", "all => all.map((one) => one.dataset.figure)")
@@ -110,6 +115,11 @@ def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
     for figure in names:
         assert opened.draw(figure).locator("canvas").count() > 0
     opened.close()
+    found = paper(browser, page, tmp_path / "page.pdf")
+    assert (found["missing"], found["broken"], found["blank"]) == ([], 0, [])
+    if preset == "steps":
+        assert below_the_first_screen(browser, page, ".front .plot") == []
+        assert (found["wide"], found["summary_mm"] < A4_MM) == ([], True)
 
 
 def test_hovering_shows_the_number_of_the_table(browser, results):
@@ -193,7 +203,7 @@ def test_a_figure_is_saved_as_svg_and_its_data_as_csv(browser, drawn):
     opened.close()
 
 
-def test_without_programs_and_on_paper_the_main_figures_remain(browser, results, tmp_path):
+def test_without_programs_the_main_figures_remain(browser, results):
     plain = browser.new_context(java_script_enabled=False)
     page = plain.new_page()
     page.goto((results / "report.html").as_uri())
@@ -201,16 +211,47 @@ def test_without_programs_and_on_paper_the_main_figures_remain(browser, results,
     assert shown.count() >= 3
     assert all(shown.nth(k).is_visible() for k in range(shown.count()))
     plain.close()
-    opened = Page(browser, results / "report.html", color_scheme="dark")
-    opened.draw("trigger")
-    opened.page.emulate_media(media="print")
-    images = opened.page.locator("figure:not(.screen) img.static")
-    assert all(images.nth(k).is_visible() for k in range(images.count()))
-    assert opened.page.locator("figure[data-figure='trigger'] .plot").is_visible()
-    assert not opened.page.locator("figure[data-figure='motion-top'] .plot").is_visible()
-    opened.page.pdf(path=tmp_path / "report.pdf")
-    assert (tmp_path / "report.pdf").stat().st_size > 50_000
-    opened.close()
+
+
+def test_the_first_screen_holds_result_and_rig(browser, results):
+    assert below_the_first_screen(browser, results / "report.html", ".scene canvas") == []
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert '<span class="badge">simulated data</span>' in page
+    assert "· six-component transducer" in page
+
+
+def test_all_figures_are_on_paper_and_the_summary_is_one_sheet(browser, results, tmp_path):
+    found = paper(browser, results / "report.html", tmp_path / "report.pdf")
+    assert found.pop("summary_mm") < A4_MM
+    assert found == {"missing": [], "broken": 0, "wide": [], "blank": []}
+
+
+def test_the_summary_is_printed_by_a_browser_of_the_machine(browser, results, tmp_path, monkeypatch):
+    file = tmp_path / "summary.pdf"
+    file.write_bytes(print_summary(results / "report.html", find_browser(), tmp_path))
+    (marks,) = marks_of_pages(file)
+    assert marks > 300
+    assert [entry.name for entry in tmp_path.iterdir()] == ["summary.pdf"]
+    silent = tmp_path / "browser"
+    silent.write_text("#!/bin/sh\nexit 3\n", encoding="utf-8")
+    silent.chmod(0o755)
+    with pytest.raises(ComputeError, match="exit status 3") as caught:
+        print_summary(results / "report.html", str(silent), tmp_path)
+    assert caught.value.code == NOT_PRINTED.code
+
+
+def test_a_pdf_file_of_a_run_needs_a_browser_and_a_free_name(
+    browser, make_campaign, evaluated, refused, tmp_path, monkeypatch
+):
+    del browser  # where none starts, none prints
+    recording, file = str(make_campaign()), tmp_path / "summary.pdf"
+    assert main(["run", recording, "-q", "--pdf", str(file)]) == 0
+    assert file.read_bytes().startswith(b"%PDF")
+    assert "SC-900" in refused("run", recording, "--pdf", str(file))
+    for name in ("BROWSERS", "PLACES", "WINDOWS_PLACES"):
+        monkeypatch.setattr(f"fusion.report.summary_pdf.{name}", ())
+    assert NO_BROWSER.code in refused("run", recording, "--force", "--pdf", str(file))
+    assert len(evaluated) == 1
 
 
 def test_pages_fit_their_window_and_have_names_for_everything(browser, results):

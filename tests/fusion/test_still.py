@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import cv2
@@ -15,10 +18,11 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
-from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
+from fusion.report.figure import BLUE, GREEN, ORANGE, RED, SHEET_IN, Mark, Scale, empty_figure
 from fusion.report.figure_files import PNG_DPI, render_figure
+from fusion.report.folder import data_uri
 from fusion.report.static_figure import decade_ticks, limits, round_ticks, static_svg
-from fusion.report.svg_marks import shade
+from fusion.report.svg_marks import DRAWN, HEIGHTS, shade
 from shakercal._common.digits import tick_texts
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -231,3 +235,52 @@ def test_a_figure_without_data_has_axes():
     panel.points([np.nan], [np.nan])
     assert len(texts_of(read(drawn))) > 3
     assert texts_of(read(replace(drawn, height_in=1.0)))
+
+
+def test_every_kind_of_mark_has_an_image():
+    kinds = set(Mark.__subclasses__())
+    assert kinds == set(DRAWN) == {kind for level in HEIGHTS for kind in level}
+
+
+def test_an_ellipse_an_arrow_and_an_image_are_where_the_axes_say():
+    drawn, panel = one_panel()
+    panel.ellipse(2.0 + 1.0j, (1.0, 0.5), np.pi / 2.0, colour=RED)
+    panel.arrows(np.array([[1.0, 0.0]]), np.array([[2.0, 1.0]]), colour=GREEN)
+    panel.image(np.full((3, 4), 90, dtype=np.uint8), (0.0, 4.0), (2.0, 0.0))
+    panel.x.limits, panel.y.limits = (0.0, 4.0), (0.0, 2.0)
+    root = read(drawn)
+    left, top, right, bottom = window(root)
+    unit = (right - left) / 4.0, (bottom - top) / 2.0
+    around = corners(strokes_of(root, RED)[0].attrib["d"])
+    # Upright: half as wide as it is high.
+    assert np.ptp(around[:, 0]) == pytest.approx(unit[0], abs=0.02)
+    assert np.ptp(around[:, 1]) == pytest.approx(2.0 * unit[1], abs=0.02)
+    assert around.mean(axis=0) == pytest.approx([left + 2.0 * unit[0], bottom - unit[1]], abs=0.02)
+    arrow = corners(strokes_of(root, GREEN)[0].attrib["d"])
+    assert arrow == pytest.approx(
+        np.array([[left + unit[0], bottom], [left + 3.0 * unit[0], bottom - unit[1]]]), abs=0.02
+    )
+    (image,) = root.iter(f"{SVG}image")
+    place = [float(image.attrib[key]) for key in ("x", "y", "width", "height")]
+    assert place == pytest.approx([left, top, right - left, bottom - top], abs=0.02)
+    data = np.frombuffer(base64.b64decode(image.attrib["href"].partition(",")[2]), dtype=np.uint8)
+    assert cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) == pytest.approx(np.full((3, 4), 90), abs=2)
+
+
+def test_a_text_with_a_sign_of_markup_survives_the_page():
+    drawn, panel = one_panel()
+    panel.text(1.0, 1.0, "< 0.60 & more")
+    address = unescape(str(data_uri(static_svg(drawn))))
+    root = ElementTree.fromstring(unquote(address.partition(",")[2]))
+    assert "< 0.60 & more" in ["".join(text.itertext()) for text in root.iter(f"{SVG}text")]
+
+
+def test_a_figure_higher_than_a_sheet_is_several_of_whole_rows():
+    drawn = empty_figure("high", 28.0, 7, 2)
+    parts = drawn.sheets()
+    assert [len(part.heights) for part in parts] == [2, 2, 2, 1]
+    assert [panel for part in parts for panel in part.panels] == list(drawn.panels)
+    assert [part.height_in for part in parts] == pytest.approx([8.0, 8.0, 8.0, 4.0])
+    assert all(part.height_in <= SHEET_IN for part in parts)
+    (whole,) = empty_figure("low", 5.0, 3).sheets()
+    assert (whole.height_in, len(whole.panels)) == (5.0, 3)

@@ -228,6 +228,7 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     if inventory.unreadable:
         lines += ["# Cannot be read:", *(f"# {' '.join(text.split())}" for text in inventory.unreadable), ""]
     lines += ["format = 1", key_line("name", folder.name), key_line("rig", rig)]
+    lines += ["# simulated = true  # a program computed the data, they were not measured"]
     lines += ["# date = 2026-01-31  # of the recording", optional_line("operator", "", "who recorded it")]
     lines += [optional_line("mounting", "1", "recordings with another text have another mounting")]
     lines += excitation_lines(folder.name, found, surveyed.lines)

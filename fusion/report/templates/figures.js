@@ -463,6 +463,24 @@
     return redraw;
   }
 
+  /* The image of every figure for paper; those of main figures are in the page as they are. */
+  async function paper(elements) {
+    const drawings = JSON.parse(await unpacked("figures-paper"));
+    const images = elements.filter((one) => one.dataset.figure in drawings).flatMap((element) => {
+      const made = drawings[element.dataset.figure].map((drawing) => {
+        const image = new Image();
+        image.className = "static";
+        image.alt = element.querySelector(".plot").ariaLabel;
+        image.src = URL.createObjectURL(new Blob([drawing], { type: "image/svg+xml" }));
+        return image;
+      });
+      element.querySelector(".static").replaceWith(...made);
+      return made;
+    });
+    await Promise.all(images.map((image) => image.decode()));
+    document.documentElement.dataset.printable = "";
+  }
+
   async function start() {
     const begun = performance.now();
     const [code, data] = await Promise.all([unpacked("figures-library"), unpacked("figures-data")]);
@@ -491,10 +509,8 @@
       clearTimeout(waiting);
       waiting = setTimeout(again, 200);
     });
-    document.querySelector("nav")?.append(button("Print all", "draw every figure and print the page", async () => {
-      for (const element of elements) await show(element);
-      print();
-    }));
+    await new Promise((ready) => (window.requestIdleCallback ?? setTimeout)(ready, { timeout: 1000 }));
+    await paper(elements);
   }
 
   document.documentElement.classList.add("js");

@@ -367,7 +367,7 @@ def _figures(found: Certificate) -> Iterator[Figure]:
     mains = [element for element in found.elements if element.main and len(element.values) > 1]
     if len(mains) == 1:
         caption = "Magnitude and phase over frequency; bars: U."
-        yield draw_curve(mains[0].points, (), ()).with_title(mains[0].name, caption, main=True)
+        yield draw_curve(mains[0].points, ()).with_title(mains[0].name, caption, main=True)
     elif mains:
         yield _joint_figure(mains)
 

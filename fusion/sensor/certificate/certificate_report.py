@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fusion.base import check_new_file
 from fusion.report.atomic_files import write_atomically, write_files, write_together
+from fusion.report.summary_pdf import write_requested_pdf
 from fusion.sensor.certificate.certificate_content import Certificate
 from fusion.sensor.certificate.certificate_evaluation import evaluate_certificate
 from fusion.sensor.certificate.certificate_form import FORM_FILE, METHOD, NEW_FORM
@@ -52,6 +53,7 @@ def run_certificate(
     if further:
         print(f"and {further} further elements")
     print(f"certificate: {folder / XML_FILE}, for people {folder / PAGE_FILE} (any browser prints it on A4)")
+    write_requested_pdf(folder / PAGE_FILE)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from fusion.report.figure import (
     ORANGE,
     RED,
     Figure,
+    Panel,
     draw_response,
     empty_figure,
     frequency_axis,
@@ -26,7 +27,8 @@ from fusion.report.figure import (
 from fusion.sensor.step.step_pool import PooledModel
 from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
 from shaker.lti.system import ModalModel
-from shakercal._common.arrays import ComplexArray, FloatArray
+from shaker.release.step_fit import StepFit
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
 from shakercal._common.digits import number_text, typeset
 
 BEFORE, AFTER = 0.6, 8.0
@@ -65,23 +67,17 @@ def draw_release(name: str, release: StepRelease) -> Figure:
     record, reading, fit = release.record, release.reading, release.fit
     if fit is None:
         raise ValueError("release: expected one with a model, found none")
-    measured, change, period = fit.fitted + fit.residual, abs(reading.steady - reading.baseline), _period_s(fit.model)
-    low = fit.onset_s - BEFORE * period - 0.3 * fit.release_s
-    near = (fit.time_s >= low) & (fit.time_s <= fit.onset_s + fit.release_s + AFTER * period)
+    measured, change, near = fit.fitted + fit.residual, abs(reading.steady - reading.baseline), _near_release(fit)
     everywhere = np.ones(len(near), dtype=np.bool_)
     factor, power = power_of_ten(measured)
     drawn = empty_figure(name, 5.0, (2.0, 1.0), 2)
     whole, enlarged, rest, rest_near = drawn.panels
     for upper, lower, shown, zoom in (
         (whole, rest, everywhere, ""),
-        (enlarged, rest_near, near if np.count_nonzero(near) > 8 else everywhere, ", around the release"),
+        (enlarged, rest_near, near, ", around the release"),
     ):
         time = MILLI * fit.time_s[shown]
-        changing = (MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s))
-        upper.span(*changing, "load changes", along="x", colour=GREY)
-        dots = bool(np.count_nonzero(shown) <= DOTTED)
-        (upper.points if dots else upper.line)(time, measured[shown] / factor, "record", colour=BLUE, **DOT[dots])
-        upper.line(time, fit.fitted[shown] / factor, "fit", colour=RED, width=0.9, dashed=True)
+        _draw_fit(upper, fit, shown, factor)
         lower.rule(0.0, colour=LIGHT)
         lower.line(time, PERCENT * fit.residual[shown] / change, colour=BLACK, width=0.6)
         lower.x.label = "time / ms"
@@ -94,6 +90,44 @@ def draw_release(name: str, release: StepRelease) -> Figure:
         "the output's change; it is only noise if the model is correct."
     )
     return drawn.with_title(f"{release.name}: record, fit and residual", caption)
+
+
+def draw_releases(components: Sequence[StepComponent]) -> list[Figure]:
+    """Draw a release of every component with its model; no figure without a model."""
+    chosen = [(component, component.chosen[0].fit) for component in components if component.pooled is not None]
+    fits = [(component, fit) for component, fit in chosen if fit is not None]
+    if not fits:
+        return []
+    columns = min(len(fits), 3)
+    rows = -(-len(fits) // columns)
+    drawn = empty_figure("releases", 0.6 + (1.8 if rows > 1 else 3.0) * rows, rows, columns, shared_x=False)
+    for panel, (component, fit) in zip(drawn.panels, fits, strict=False):
+        shown = _near_release(fit)
+        factor, power = power_of_ten(fit.fitted)
+        _draw_fit(panel, fit, shown, factor)
+        panel.title = f"output {component.channel} / {power}{typeset(component.chosen[0].record.unit)}"
+        panel.x.label = "time / ms"
+    for panel in drawn.panels[len(fits) :]:
+        panel.blank = True
+    caption = "Output (blue) and model (red, dashed) around the release of each load; grey: while the load changes."
+    return [drawn.with_title("Releases and models", caption, main=True)]
+
+
+def _near_release(fit: StepFit) -> BoolArray:
+    """Return the samples around the release; all of them if these are too few."""
+    period = _period_s(fit.model)
+    low = fit.onset_s - BEFORE * period - 0.3 * fit.release_s
+    near = (fit.time_s >= low) & (fit.time_s <= fit.onset_s + fit.release_s + AFTER * period)
+    return np.asarray(near if np.count_nonzero(near) > 8 else np.ones(len(near), dtype=np.bool_))
+
+
+def _draw_fit(panel: Panel, fit: StepFit, shown: BoolArray, factor: float) -> None:
+    """Draw samples over a factor, their fit, and the time of the release."""
+    time, measured = MILLI * fit.time_s[shown], (fit.fitted + fit.residual)[shown]
+    panel.span(MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s), "load changes", along="x", colour=GREY)
+    dots = bool(np.count_nonzero(shown) <= DOTTED)
+    (panel.points if dots else panel.line)(time, measured / factor, "record", colour=BLUE, **DOT[dots])
+    panel.line(time, fit.fitted[shown] / factor, "fit", colour=RED, width=0.9, dashed=not dots)
 
 
 def draw_devices(name: str, component: StepComponent) -> Figure:

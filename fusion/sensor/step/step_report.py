@@ -33,7 +33,7 @@ from fusion.report.table import (
 )
 from fusion.sensor.model_files import MODELS_FILE, ModelsFile, models_text
 from fusion.sensor.step.step_evaluation import evaluate_steps
-from fusion.sensor.step.step_figures import component_figures
+from fusion.sensor.step.step_figures import component_figures, draw_releases
 from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import (
     LABELS,
@@ -319,6 +319,7 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
     return {
         "subject": [*subject_of(evaluation.rig), ("Recordings", f"{count} of {names}")],
         "summary": summary_table(evaluation),
+        "releases": draw_releases(components),
         "components": [
             {
                 "name": component.component,
