@@ -113,9 +113,16 @@ def fit_together(releases: Sequence[StepRelease], kinds: Mapping[str, str], stru
     if len(solutions) < len(releases) or not own:
         return None
     try:
-        return fit_jointly(solutions, [_samples(release) for release in releases], own[0])
+        return fit_jointly(
+            solutions, [_samples(release) for release in releases], own[0], [_noise(r) for r in releases]
+        )
     except FAILURES:
         return None
+
+
+def _noise(release: StepRelease) -> float:
+    """Return the variance of a sample that the best fit of a release leaves."""
+    return min(fit.solution.variance for fit in release.shapes if fit.solution is not None)
 
 
 def _of_kind(release: StepRelease, kind: str) -> StepFit:
@@ -325,7 +332,7 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
     fits, of_fits = zip(*(fit_release(release, settings) for release in releases), strict=True)
     sound, refitted, notices = _sound(fits, settings)
     notices = [*chain.from_iterable(of_fits), *notices]
-    fitted = fit_common_shape(_in_stages(sound, settings))
+    fitted = fit_common_shape(sound)
     chosen, reason = choose_releases(fitted)
     if not chosen:
         return FittedReleases(_latest(fits, fitted), (), reason, tuple(notices))
@@ -336,21 +343,6 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         common, refitted = averaged_model(chosen, component), [*refitted, *refit]
         notices += [*of_structure, Notice(declared.RELEASES_AVERAGED, component, count=len(chosen))]
     return FittedReleases(_latest(fits, fitted, chosen), chosen, reason, tuple(notices), tuple(refitted), common)
-
-
-def _in_stages(releases: Sequence[StepRelease], settings: StepSettings) -> list[StepRelease]:
-    """Return releases, in two stages as well if another by their device may be."""
-    devices = {
-        release.record.release
-        for release in releases
-        if any(fit.shape == "stages" and fit.excess < REJECT_CHI2 for fit in release.shapes)
-    }
-    return [
-        fit_release(release, settings, staged=True)[0]
-        if release.record.release in devices and all(fit.shape != "stages" for fit in release.shapes)
-        else release
-        for release in releases
-    ]
 
 
 def _latest(*series: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
