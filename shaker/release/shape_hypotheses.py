@@ -12,9 +12,9 @@ import numpy as np
 from shaker.lti.system import ModalModel, coordinate_sizes, frame_of, from_coordinates, to_coordinates
 from shaker.release.load_response import MOMENTS
 from shaker.release.model_order import TERM, add_numerator_terms, penalised_chi_squared, with_loose_prior
-from shaker.release.output_error import OutputErrorFit, design, solve, squares
+from shaker.release.output_error import OutputErrorFit, solve, squares
 from shaker.release.record import ReleaseShape
-from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, REJECT_CHI2
 
 _SPLITS = (0.003, 0.03, 0.12, 0.3)  # trial shares of the chain in the squared lags of chain and release
