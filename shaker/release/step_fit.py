@@ -111,7 +111,7 @@ def as_step_fit(
     covariance = fit_covariance(solution, whole)
     model = modal_model(solution, covariance.covariance, record.u_amplitude)
     notices = fit_notices(record, reading, solution, model, covariance)
-    if (dependence := amplitude_dependence(solution)) is not None:
+    if (dependence := amplitude_dependence([solution])) is not None:
         model = dependence.widen(model)
         notices = (*notices, dependence.notice(model, record.unit, f"{record.name}, {reading.channel}"))
     middle, length = solution.problem.release(solution.vector)
@@ -263,7 +263,7 @@ def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
     found = search_order(search)
     while search.modes is None and (distinct := distinct_modes(found[0])) < found[0].problem.structure.modes:
         fewer = search_order(replace(search, modes=distinct))
-        dependence = amplitude_dependence(fewer[0])
+        dependence = amplitude_dependence([fewer[0]])
         explained = 0.0 if dependence is None else (1.0 - dependence.square_share) * fewer[0].square
         if explained > _EXPLAINED * (fewer[0].square - found[0].square):
             return fewer

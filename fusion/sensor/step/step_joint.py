@@ -23,7 +23,7 @@ from fusion.sensor.step.step_releases import (
     fit_release,
 )
 from shaker.lti.system import ModalModel
-from shaker.release.amplitude_dependence import EVENLY, amplitude_dependence
+from shaker.release.amplitude_dependence import EVENLY, SIGNIFICANT, amplitude_dependence
 from shaker.release.joint_fit import ReleasesFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
 from shaker.release.model_order import STEEP
@@ -218,7 +218,7 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
     if not joint.consistent:
         return None
     alternatives = [one for device in kinds for one in _alternatives(releases, component, kinds, joint, device, others)]
-    return CommonModel(of_joint(joint), (*alternatives, *_amplitudes(releases, joint.model)))
+    return CommonModel(of_joint(joint), (*alternatives, *_amplitudes(releases, component, joint.model)))
 
 
 def _alternatives(
@@ -258,20 +258,21 @@ def _with_notices(
         yield OtherModel(made(fit, end), notice)
 
 
-def _amplitudes(releases: Sequence[StepRelease], model: ModalModel) -> Iterator[OtherModel]:
-    """Yield the models of small and of the first amplitudes, if they differ."""
-    found = []
-    for fit in (release.shapes[0] for release in releases):
-        dependence = None if fit.solution is None else amplitude_dependence(fit.solution)
-        if dependence is not None and fit.model is not None:
-            hertz = fit.model.frequency_hz[dependence.mode]
-            found.append(replace(dependence, mode=int(np.argmin(np.abs(model.frequency_hz - hertz)))))
-    if found:
-        largest = max(found, key=lambda one: float(np.abs(one.shifts).max()))
-        for change in largest.changes(model):
-            yield OtherModel(HypothesisModel(model.with_vector(model.vector + change), EVENLY), None)
+def _amplitudes(releases: Sequence[StepRelease], component: str, model: ModalModel) -> Iterator[OtherModel]:
+    """Yield the models of small and of the first amplitudes, if they may differ; a notice if they do."""
+    fits = [(fit.model, fit.solution) for fit in (release.shapes[0] for release in releases)]
+    solutions = [solution for of_fit, solution in fits if solution is not None and of_fit is not None]
+    found = amplitude_dependence(solutions, _DOUBTFUL)
+    if found is None:
+        return
+    hertz = float(np.exp(solutions[0].vector[found.mode])) / (2.0 * np.pi)
+    change = replace(found, mode=int(np.argmin(np.abs(model.frequency_hz - hertz))))
+    notice = change.notice(model, releases[0].record.unit, component) if found.chi_squared > SIGNIFICANT else None
+    for moved, one in zip(change.changes(model), (notice, None), strict=True):
+        yield OtherModel(HypothesisModel(model.with_vector(model.vector + moved), EVENLY), one)
 
 
+_DOUBTFUL = 4.0  # χ² of a dependence on the amplitude that the records do not exclude and U includes
 _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a hypothesis is not fitted to all releases
 
 
@@ -302,7 +303,7 @@ def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonMod
 
         first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
         alternatives += _with_notices(first.shapes, component, device, mean)
-    return CommonModel(found, (*alternatives, *_amplitudes(releases, found.mean_model)))
+    return CommonModel(found, (*alternatives, *_amplitudes(releases, component, found.mean_model)))
 
 
 # Fits of the releases of a component, and the model of all of them.
