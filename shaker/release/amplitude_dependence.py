@@ -144,7 +144,8 @@ def _resonant_noise(rest: FloatArray, pole: complex) -> float:
     if not np.any(near):
         return 1.0
     chance = 1.0 + 2.0 / np.sqrt(np.count_nonzero(near))
-    return max(1.0, float(np.mean(power[near])) / max(1e-300, float(np.mean(power[1:]))) / chance)
+    density = float(np.mean(power[near])) / max(1e-300, float(np.mean(power[1:])))
+    return max(1.0, density / chance)
 
 
 def _column(decay: _Decay, kind: str, power: int) -> FloatArray:

@@ -30,6 +30,7 @@ from shakercal._common.fitting import LMOptions, ParameterPrior, levenberg_marqu
 
 _RULES = LMOptions(predicted_decrease=3e-3, actual_decrease=3e-3, max_steps=30, damping_decrease=0.03, min_damping=1e-8)
 _COARSE = replace(_RULES, predicted_decrease=0.3, actual_decrease=0.3)  # among several starts
+_MARGIN = 1.0  # χ² by which another start than that of all own fits must be better
 _DURATIONS = (1.0, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6)  # of a release, over those of its own fit
 _MIDDLES = (0.0, -0.3, 0.3, -0.6, 0.6)  # shifts of its middle, in radians of the lowest mode
 _SWEEPS = 3  # over the releases in the search of their durations
@@ -158,14 +159,14 @@ class _Releases:
         same = [n for n, fit in enumerate(self.fits) if _counts(fit.problem.structure) == _counts(self.structure)]
         poles = {n: _sorted_poles(self.fits[n]) for n in same}
         found = [self.start(np.median([*poles.values()], axis=0))]
+        if len(self.fits) == 1 or not all(problem.load.lasting for problem in self.problems):
+            return found
         lags = [float(np.sum(np.exp(-poles[n][2 * self.structure.modes :]))) for n in same]
         ordered = [same[n] for n in np.argsort(lags)]
-        for chosen in (
-            dict.fromkeys([ordered[0], ordered[len(ordered) // 2], ordered[-1]]) if len(self.fits) > 1 else ()
-        ):
+        for chosen in dict.fromkeys([ordered[0], ordered[len(ordered) // 2], ordered[-1]]):
             vector, like = self.start(poles[chosen]), self.fits[chosen]
             for fit, own in zip(self.fits, self.own, strict=True):
-                if fit.problem.load.lasting and fit.problem.load.shape == like.problem.load.shape:
+                if fit.problem.load.shape == like.problem.load.shape:
                     release = like.vector[like.problem.structure.order :].copy()
                     release[0] += fit.delay_s - like.delay_s
                     vector[own.start + 1 : own.stop] = release
@@ -302,7 +303,7 @@ def fit_jointly(
         for start in starts:
             hopeless = min((point.loss for point in coarse), default=np.inf)
             coarse.append(_solved_from(releases, releases.best_of(*start), replace(_COARSE, tolerance=hopeless)))
-        best = min(coarse, key=lambda point: point.loss)
+        best = min(coarse, key=lambda point: point.loss + _MARGIN * (point is not coarse[0]))
         tried.append(_solved_from(releases, best.parameters, _RULES))
     best = min(tried, key=lambda point: point.loss + TERM * point.releases.structure.terms)
     return _as_joint_fit(best, wholes)

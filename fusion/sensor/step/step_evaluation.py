@@ -75,7 +75,9 @@ def evaluate_component(
     of_all = [other.notice for other in others if other.notice is not None]
     if AMPLITUDE_DEPENDENT.code in [notice.code for notice in of_all]:  # of all releases in place of each of them
         found = _without_refuted(found)
-        fits = [(r, replace(f, notices=[n for n in f.notices if n.code != AMPLITUDE_DEPENDENT.code])) for r, f in fits]
+        fits = [
+            (r, replace(f, notices=tuple(n for n in f.notices if n.code != AMPLITUDE_DEPENDENT.code))) for r, f in fits
+        ]
     notices += [*(n.at(f"{r.name}: {r.driven}") for r, fit in fits for n in fit.notices), *of_all]
     entry = ModelEntry(
         channel=channel,
