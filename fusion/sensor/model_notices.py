@@ -21,7 +21,7 @@ DAMAGED_MODEL_FILE = DeclaredNotice(
     remedy="Run {to_repeat} again.",
     link="results.md",
 )
-DAMPING_REFUTED = DeclaredNotice(
+DAMPING_NOT_LINEAR = DeclaredNotice(
     "SC-920",
     "warning",
     "The damping depends on the amplitude so much that a linear model has no damping ratio (±{percent:.2g} %).",

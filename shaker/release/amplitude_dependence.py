@@ -81,7 +81,10 @@ class AmplitudeDependence:
 
 
 class _Decay(NamedTuple):
-    """Decay of the strongest mode `z` (B,), residual, derivatives by all parameters (B, K), those of it at `places`."""
+    """Decay of the strongest mode `z` (B,), residual, derivatives by all parameters (B, K).
+
+    `places`: those of its frequency and damping ratio. `colour`: density of the noise about it.
+    """
 
     mode: int
     places: tuple[int, int]
@@ -102,7 +105,7 @@ def distinct_modes(fit: OutputErrorFit) -> int:
 
 
 def _decay(fit: OutputErrorFit) -> _Decay | None:
-    """Return the decay of the strongest mode, weighted by the length of blocks; None for one too short."""
+    """Return the weighted decay of the strongest mode, None for one too short."""
     problem, samples, structure = fit.problem, fit.problem.samples, fit.problem.structure
     poles, (middle, length) = structure.poles(fit.vector), problem.release(fit.vector)
     residues = 2.0 * structure.shares(fit.vector)[: structure.modes] @ fit.linear[1:]
@@ -133,9 +136,9 @@ def _decay(fit: OutputErrorFit) -> _Decay | None:
 
 
 def _resonant_noise(rest: FloatArray, pole: complex) -> float:
-    """Return the density of noise (N,) after a decay about a mode over that of white noise, at least 1.
+    """Return the relative density of noise (N,) about a mode, at least 1.
 
-    `pole`: times the interval. A measured load, or the floor, excites the mode at rest as well.
+    Relative to white noise, after the decay. `pole`: times the interval. A measured load, or the floor, excites the mode at rest as well.
     """
     if len(rest) < _LEAST_LINES:
         return 1.0
@@ -145,7 +148,7 @@ def _resonant_noise(rest: FloatArray, pole: complex) -> float:
         return 1.0
     chance = 1.0 + 2.0 / np.sqrt(np.count_nonzero(near))
     density = float(np.mean(power[near])) / max(1e-300, float(np.mean(power[1:])))
-    return max(1.0, density / chance)
+    return max(1.0, float(density / chance))
 
 
 def _column(decay: _Decay, kind: str, power: int) -> FloatArray:
@@ -156,7 +159,7 @@ def _column(decay: _Decay, kind: str, power: int) -> FloatArray:
 
 
 def amplitude_dependence(fits: Sequence[OutputErrorFit], least: float = SIGNIFICANT) -> AmplitudeDependence | None:
-    """Return how the strongest mode of releases depends on its amplitude, None if that is not significant.
+    """Return how the strongest mode depends on its amplitude, None if not significantly.
 
     The terms are fitted to the residuals of all releases together with the parameters of each fit: the most
     significant one of the frequency, and of the damping, with χ² above `least`. `mode` is that of the first fit.
@@ -197,7 +200,7 @@ def amplitude_dependence(fits: Sequence[OutputErrorFit], least: float = SIGNIFIC
 
 
 class _WithoutFit(NamedTuple):
-    """Residual (B,) and terms (B, T) of a decay without their parts along a fit, over the noise.
+    """Residual (B,) and terms (B, T) of a decay without the fit's part, over noise.
 
     `shifts` (2, 1 + T): changes of ln ω and ζ that these parts are.
     """

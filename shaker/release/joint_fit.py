@@ -151,7 +151,7 @@ class _Releases:
         return vector
 
     def starts(self) -> list[FloatArray]:
-        """Return start vectors: poles and releases of all own fits, then those of one fit for all.
+        """Return start vectors: from all own fits, then from one fit for all releases.
 
         A single fit may end at a lag and a release that explain its record, but no other one. Releases of one device
         are similar, so each fit is tried for all of them, with the delays of their own fits.

@@ -181,7 +181,7 @@ class OutputErrorFit(Arrays):
 
     @property
     def delay_s(self) -> float:
-        """Mean time of the load's change, plus the lag of real poles and numerator at the lowest mode."""
+        """Mean time of the load's change plus the chain's lag at the lowest mode."""
         structure, stages = self.problem.structure, self.problem.stages(self.vector)
         middle, omega = self.problem.release(self.vector)[0], float(np.exp(self.vector[: structure.modes].min()))
         numerator = self.linear[1:] @ (1j * omega / structure.scale) ** np.arange(structure.terms) / self.linear[1]

@@ -74,7 +74,7 @@ def evaluate_component(
     found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, influences)
     of_all = [other.notice for other in others if other.notice is not None]
     if AMPLITUDE_DEPENDENT.code in [notice.code for notice in of_all]:  # of all releases in place of each of them
-        found = _without_refuted(found)
+        found = _drop_damping_uncertainty(found)
         fits = [
             (r, replace(f, notices=tuple(n for n in f.notices if n.code != AMPLITUDE_DEPENDENT.code))) for r, f in fits
         ]
@@ -103,21 +103,21 @@ def evaluate_component(
 
 
 _OF_DAMPING = ("damping_ratio", "peak_gain", *SETTLING)
-_REFUTED = 0.5  # U of a damping ratio over it from which a dependence on the amplitude leaves it without a value
+_CONTRADICTED = 0.5  # U of a damping ratio over it from which a dependence on the amplitude leaves it without a value
 _DELAY_S = 1e-5  # delay of a chain for which the effect is stated
 
 
-def _without_refuted(found: IndexResults) -> IndexResults:
-    """Return indices without U of those that follow from damping, if it depends on the amplitude by half of it."""
+def _drop_damping_uncertainty(found: IndexResults) -> IndexResults:
+    """Return indices, those of a damping ratio that is uncertain by half without U."""
     damping = next((one for one in found.quantities if one.name == "damping_ratio"), None)
-    if damping is None or damping.expanded < _REFUTED * abs(damping.value):
+    if damping is None or damping.expanded < _CONTRADICTED * abs(damping.value):
         return found
     quantities = tuple(
         replace(one, u=np.nan, low=np.nan, high=np.nan) if one.name in _OF_DAMPING else one for one in found.quantities
     )
     rest = {cause: {n: u for n, u in parts.items() if n not in _OF_DAMPING} for cause, parts in found.budget.items()}
     share = PERCENT * damping.expanded / abs(damping.value)
-    notice = Notice(declared.DAMPING_REFUTED, damping.name, percent=share)
+    notice = Notice(declared.DAMPING_NOT_LINEAR, damping.name, percent=share)
     return IndexResults(quantities, (*found.notices, notice), rest)
 
 

@@ -259,7 +259,7 @@ def _with_notices(
 
 
 def _amplitudes(releases: Sequence[StepRelease], component: str, model: ModalModel) -> Iterator[OtherModel]:
-    """Yield the models of small and of the first amplitudes, if they may differ; a notice if they do."""
+    """Yield the models of small and of the first amplitudes, if they may differ."""
     fits = [(fit.model, fit.solution) for fit in (release.shapes[0] for release in releases)]
     solutions = [solution for of_fit, solution in fits if solution is not None and of_fit is not None]
     found = amplitude_dependence(solutions, _DOUBTFUL)
