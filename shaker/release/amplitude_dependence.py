@@ -138,7 +138,8 @@ def _decay(fit: OutputErrorFit) -> _Decay | None:
 def _resonant_noise(rest: FloatArray, pole: complex) -> float:
     """Return the relative density of noise (N,) about a mode, at least 1.
 
-    Relative to white noise, after the decay. `pole`: times the interval. A measured load, or the floor, excites the mode at rest as well.
+    Relative to white noise, after the decay. `pole`: times the interval. A measured load, or the floor, excites the
+    mode at rest as well.
     """
     if len(rest) < _LEAST_LINES:
         return 1.0
