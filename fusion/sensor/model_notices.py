@@ -21,6 +21,22 @@ DAMAGED_MODEL_FILE = DeclaredNotice(
     remedy="Run {to_repeat} again.",
     link="results.md",
 )
+DAMPING_NOT_LINEAR = DeclaredNotice(
+    "SC-920",
+    "warning",
+    "The damping depends on the amplitude so much that a linear model has no damping ratio (±{percent:.2g} %).",
+    effect="Damping ratio, peak gain and settling times are reported without U.",
+    remedy="Check the mounting for friction and loose joints, and use releases as large as the loads to be measured.",
+    link="steps.md",
+)
+CHAIN_DELAY_UNKNOWN = DeclaredNotice(
+    "SC-921",
+    "note",
+    "The delay of the output's chain is not stated. {delay_us:.2g} µs move quadrature_hz by {shift_hz:.2g} Hz.",
+    effect="A record does not distinguish it from a later release. U of quadrature_hz and of phases excludes it.",
+    remedy="State the `response` of the output's channel, with its anti-aliasing filter, or measure the force.",
+    link="steps.md",
+)
 MODEL_COVERAGE = DeclaredNotice(
     "SC-792",
     "note",

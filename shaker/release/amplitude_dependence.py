@@ -7,6 +7,7 @@ frequency that changes by α·aᵐ, relative, changes the phase by αω(1 - exp(
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,16 +16,19 @@ import numpy as np
 from shaker.lti.system import ModalModel
 from shaker.model_notices import AMPLITUDE_DEPENDENT
 from shaker.release.load_response import responses
-from shaker.release.output_error import OutputErrorFit, columns, slopes
+from shaker.release.output_error import OutputErrorFit, columns, design, slopes
 from shaker.release.shape_hypotheses import parameter_change
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.fitting import eliminate
 from shakercal._common.notices import Notice
 
 _TERMS = (("frequency", 2), ("frequency", 1), ("damping", 1), ("damping", -1))
-_SIGNIFICANT = 30.0  # χ² by one of four terms; noise alone exceeds it once in 10^7
+_KINDS = ("frequency", "damping")
 _LEAST_AMPLITUDE = 0.05  # amplitude over the first below which a decay is left out
+_LEAST_LINES = 32  # number of samples of a spectrum
 _RANGE = 0.1  # smallest amplitude over the first for which changes are stated
+SIGNIFICANT = 15.0
+"""χ² of a significant term; noise alone exceeds it with one of four terms once in 2000 cases."""
 EVENLY = float(np.sqrt(3.0))
 """Half range over the standard deviation of an even distribution."""
 
@@ -35,7 +39,8 @@ class AmplitudeDependence:
 
     `mode`: its number in the fit. `amplitude`: the first. `frequency_change`, `damping_change`: relative, from a tenth
     of the first amplitude to it. `shifts` (2, 2): of ln ω and ζ from the fit to those of small and of the first
-    amplitude. `square_share`: sum of squares that the terms leave, over that of the fit.
+    amplitude. `square_share`: sum of squares that the terms leave, over that of the fit. `chi_squared`: of the most
+    significant term.
     """
 
     mode: int
@@ -44,6 +49,7 @@ class AmplitudeDependence:
     damping_change: float
     shifts: FloatArray
     square_share: float
+    chi_squared: float
 
     def changes(self, model: ModalModel) -> list[FloatArray]:
         """Return the changes (P,) of parameters to small and to first amplitudes."""
@@ -75,10 +81,15 @@ class AmplitudeDependence:
 
 
 class _Decay(NamedTuple):
-    """Decay of the strongest mode `z` (B,), residual, derivatives by all parameters (B, K)."""
+    """Decay of the strongest mode `z` (B,), residual, derivatives by all parameters (B, K).
+
+    `places`: those of its frequency and damping ratio. `colour`: density of the noise about it.
+    """
 
     mode: int
+    places: tuple[int, int]
     pole: complex
+    colour: float
     time_s: FloatArray
     weight: FloatArray
     residual: FloatArray
@@ -93,8 +104,8 @@ def distinct_modes(fit: OutputErrorFit) -> int:
     return 1 + int(np.count_nonzero(np.diff(poles.imag) > np.abs(poles.real[1:]) + np.abs(poles.real[:-1])))
 
 
-def _decay(fit: OutputErrorFit) -> _Decay:
-    """Return the decay of the strongest mode, weighted by the length of blocks."""
+def _decay(fit: OutputErrorFit) -> _Decay | None:
+    """Return the weighted decay of the strongest mode, None for one too short."""
     problem, samples, structure = fit.problem, fit.problem.samples, fit.problem.structure
     poles, (middle, length) = structure.poles(fit.vector), problem.release(fit.vector)
     residues = 2.0 * structure.shares(fit.vector)[: structure.modes] @ fit.linear[1:]
@@ -106,10 +117,39 @@ def _decay(fit: OutputErrorFit) -> _Decay:
     jacobian = np.concatenate([slopes(problem, fit.vector, fit.linear, answered), matrix], axis=1)
     late = samples.time_s - (middle + 0.5 * length)
     after = (late > 0.0) & (late * one[0].real > np.log(_LEAST_AMPLITUDE))
+    if not one[0].real < 0.0 or np.count_nonzero(after) <= jacobian.shape[1] + len(_TERMS):
+        return None
     weight, residual = samples.weight[after], (samples.value - matrix @ fit.linear)[after]
+    ended = samples.between(float(samples.time_s[after][-1]), np.inf)
+    rest = ended.value - design(problem, fit.vector, ended) @ fit.linear
     return _Decay(
-        strongest, one[0], late[after], weight, residual * weight, jacobian[after] * weight[:, None], z[after]
+        mode=strongest,
+        places=(strongest, structure.modes + strongest),
+        pole=complex(one[0]),
+        colour=max(problem.colour, _resonant_noise(rest, complex(one[0]) * ended.step_s * int(samples.length[-1]))),
+        time_s=late[after],
+        weight=weight,
+        residual=residual * weight,
+        jacobian=jacobian[after] * weight[:, None],
+        z=z[after],
     )
+
+
+def _resonant_noise(rest: FloatArray, pole: complex) -> float:
+    """Return the relative density of noise (N,) about a mode, at least 1.
+
+    Relative to white noise, after the decay. `pole`: times the interval. A measured load, or the floor, excites the
+    mode at rest as well.
+    """
+    if len(rest) < _LEAST_LINES:
+        return 1.0
+    cycles, power = np.fft.rfftfreq(len(rest)), np.abs(np.fft.rfft(rest)) ** 2
+    near = np.abs(cycles - pole.imag / (2.0 * np.pi)) < max(2.0 / len(rest), -pole.real / np.pi)
+    if not np.any(near):
+        return 1.0
+    chance = 1.0 + 2.0 / np.sqrt(np.count_nonzero(near))
+    density = float(np.mean(power[near])) / max(1e-300, float(np.mean(power[1:])))
+    return max(1.0, float(density / chance))
 
 
 def _column(decay: _Decay, kind: str, power: int) -> FloatArray:
@@ -119,42 +159,67 @@ def _column(decay: _Decay, kind: str, power: int) -> FloatArray:
     return decay.weight * np.real((1j if kind == "frequency" else -1.0) * decay.z * by)
 
 
-def amplitude_dependence(fit: OutputErrorFit) -> AmplitudeDependence | None:
-    """Return how the strongest mode depends on its amplitude, None if that is not significant.
+def amplitude_dependence(fits: Sequence[OutputErrorFit], least: float = SIGNIFICANT) -> AmplitudeDependence | None:
+    """Return how the strongest mode depends on its amplitude, None if not significantly.
 
-    The terms are fitted to the residual together with all parameters of the fit: the most significant one of the
-    frequency, and of the damping.
+    The terms are fitted to the residuals of all releases together with the parameters of each fit: the most
+    significant one of the frequency, and of the damping, with χ² above `least`. `mode` is that of the first fit.
     """
-    decay, modes = _decay(fit), fit.problem.structure.modes
-    if not decay.pole.real < 0.0 or len(decay.time_s) <= decay.jacobian.shape[1] + len(_TERMS):
+    decays = [decay for fit in fits if (decay := _decay(fit)) is not None]
+    if not decays:
         return None
-    design, terms, chosen = decay.jacobian, {term: _column(decay, *term) for term in _TERMS}, list[tuple[str, int]]()
-    first = square = _squares_left(design, decay.residual)
-    while terms:
-        trials = {term: np.column_stack([design, column]) for term, column in terms.items()}
-        left = {term: _squares_left(trial, decay.residual) for term, trial in trials.items()}
-        best = min(left, key=lambda term: left[term])
-        noise = left[best] * fit.problem.colour / max(1, len(decay.residual) - design.shape[1] - 1)
-        if square - left[best] < _SIGNIFICANT * noise:
+    amplitude = max(float(np.abs(decay.z[0])) for decay in decays)
+    parts = [_without_fit(decay, amplitude) for decay in decays]
+    terms, residual = (np.concatenate([getattr(part, name) for part in parts]) for name in ("terms", "residual"))
+    chosen, significance, left = list[int](), 0.0, float(residual @ residual)
+    while rest := [n for n, (kind, _) in enumerate(_TERMS) if kind not in [_TERMS[one][0] for one in chosen]]:
+        trials = {n: _squares_left(terms[:, [*chosen, n]], residual) for n in rest}
+        best = min(trials, key=lambda n: trials[n])
+        if left - trials[best] < least:
             break
-        design, square = trials[best], left[best]
-        chosen.append(best)
-        terms = {term: column for term, column in terms.items() if term[0] != best[0]}
+        significance = max(significance, left - trials[best])
+        chosen, left = [*chosen, best], trials[best]
     if not chosen:
         return None
-    solved = eliminate(design, decay.residual[:, None]).coefficients[:, 0]
-    sizes = dict(zip(chosen, solved[decay.jacobian.shape[1] :].tolist(), strict=True))
-    small = solved[[decay.mode, modes + decay.mode]]
-    at_first = [sum(size for (kind, _), size in sizes.items() if kind == of) for of in ("frequency", "damping")]
-    changes = {kind: size * (1.0 - _RANGE**power) for (kind, power), size in sizes.items()}
+    sizes = eliminate(terms[:, chosen], residual[:, None]).coefficients[:, 0]
+    small = np.mean([part.shifts[:, 0] - part.shifts[:, 1:][:, chosen] @ sizes for part in parts], axis=0)
+    at_first, changes = np.zeros(2), np.zeros(2)
+    for one, size in zip(chosen, sizes.tolist(), strict=True):
+        kind, power = _TERMS[one]
+        at_first[_KINDS.index(kind)] += size
+        changes[_KINDS.index(kind)] += size * (1.0 - _RANGE**power)
+    damping_ratio = float(fits[0].vector[fits[0].problem.structure.modes + decays[0].mode])
     return AmplitudeDependence(
-        decay.mode,
-        float(np.abs(decay.z[0])),
-        changes.get("frequency", 0.0),
-        changes.get("damping", 0.0) / float(fit.vector[modes + decay.mode]),
-        np.array([small, small + at_first]),
-        square / first,
+        mode=decays[0].mode,
+        amplitude=amplitude,
+        frequency_change=float(changes[0]),
+        damping_change=float(changes[1]) / damping_ratio,
+        shifts=np.array([small, small + at_first]),
+        square_share=left / float(residual @ residual),
+        chi_squared=significance,
     )
+
+
+class _WithoutFit(NamedTuple):
+    """Residual (B,) and terms (B, T) of a decay without the fit's part, over noise.
+
+    `shifts` (2, 1 + T): changes of ln ω and ζ that these parts are.
+    """
+
+    residual: FloatArray
+    terms: FloatArray
+    shifts: FloatArray
+
+
+def _without_fit(decay: _Decay, amplitude: float) -> _WithoutFit:
+    """Return a decay without its parts along its fit; the terms refer to an amplitude."""
+    share = float(np.abs(decay.z[0])) / amplitude
+    terms = [share**power * _column(decay, kind, power) for kind, power in _TERMS]
+    solved = eliminate(decay.jacobian, np.column_stack([decay.residual, *terms]))
+    residual, columns_ = solved.residual[:, 0], solved.residual[:, 1:]
+    freedom = max(1, len(residual) - decay.jacobian.shape[1] - len(terms))
+    noise = np.sqrt(max(_squares_left(columns_, residual), 1e-300) * decay.colour / freedom)
+    return _WithoutFit(residual / noise, columns_ / noise, solved.coefficients[list(decay.places)])
 
 
 def _squares_left(design: FloatArray, residual: FloatArray) -> float:

@@ -29,6 +29,8 @@ from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.fitting import LMOptions, ParameterPrior, levenberg_marquardt
 
 _RULES = LMOptions(predicted_decrease=3e-3, actual_decrease=3e-3, max_steps=30, damping_decrease=0.03, min_damping=1e-8)
+_COARSE = replace(_RULES, predicted_decrease=0.3, actual_decrease=0.3)  # among several starts
+_MARGIN = 1.0  # χ² by which another start than that of all own fits must be better
 _DURATIONS = (1.0, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6)  # of a release, over those of its own fit
 _MIDDLES = (0.0, -0.3, 0.3, -0.6, 0.6)  # shifts of its middle, in radians of the lowest mode
 _SWEEPS = 3  # over the releases in the search of their durations
@@ -76,6 +78,7 @@ class _Releases:
 
     structure: PoleStructure
     fits: tuple[OutputErrorFit, ...]
+    variances: tuple[float, ...]
 
     @cached_property
     def problems(self) -> tuple[OutputErrorProblem, ...]:
@@ -85,7 +88,7 @@ class _Releases:
     @cached_property
     def noise(self) -> tuple[float, ...]:
         """Variance of a sample of each release that counts about the modes."""
-        return tuple(max(fit.variance, 1e-300) * fit.problem.colour for fit in self.fits)
+        return tuple(max(v, 1e-300) * fit.problem.colour for v, fit in zip(self.variances, self.fits, strict=True))
 
     @property
     def chain(self) -> tuple[float, float] | None:
@@ -135,7 +138,7 @@ class _Releases:
             return False
         for problem, own in zip(self.problems, self.own, strict=True):
             lengths, shares = vector[own][2::2], vector[own][3::2]
-            if np.any(np.exp(lengths) >= np.ptp(problem.samples.time_s)) or np.any(np.abs(shares - 0.5) >= 0.5):
+            if np.any(lengths >= np.log(np.ptp(problem.samples.time_s))) or np.any(np.abs(shares - 0.5) >= 0.5):
                 return False
         return True
 
@@ -147,7 +150,30 @@ class _Releases:
             vector[own] = np.append(fit.linear[0], fit.vector[fit.problem.structure.order :])
         return vector
 
-    def near(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def starts(self) -> list[FloatArray]:
+        """Return start vectors: from all own fits, then from one fit for all releases.
+
+        A single fit may end at a lag and a release that explain its record, but no other one. Releases of one device
+        are similar, so each fit is tried for all of them, with the delays of their own fits.
+        """
+        same = [n for n, fit in enumerate(self.fits) if _counts(fit.problem.structure) == _counts(self.structure)]
+        poles = {n: _sorted_poles(self.fits[n]) for n in same}
+        found = [self.start(np.median([*poles.values()], axis=0))]
+        if len(self.fits) == 1 or not all(problem.load.lasting for problem in self.problems):
+            return found
+        lags = [float(np.sum(np.exp(-poles[n][2 * self.structure.modes :]))) for n in same]
+        ordered = [same[n] for n in np.argsort(lags)]
+        for chosen in dict.fromkeys([ordered[0], ordered[len(ordered) // 2], ordered[-1]]):
+            vector, like = self.start(poles[chosen]), self.fits[chosen]
+            for fit, own in zip(self.fits, self.own, strict=True):
+                if fit.problem.load.shape == like.problem.load.shape:
+                    release = like.vector[like.problem.structure.order :].copy()
+                    release[0] += fit.delay_s - like.delay_s
+                    vector[own.start + 1 : own.stop] = release
+            found.append(vector)
+        return found
+
+    def near(self, vector: FloatArray, everywhere: bool) -> tuple[FloatArray, FloatArray]:
         """Return changes (C, 2) of a release, and `_explained` for each (R, C, ., .).
 
         They are those of the middle, and of the logarithm of the duration. The ringing of a mode changes its sign where
@@ -155,7 +181,7 @@ class _Releases:
         the own fit. The first change is none.
         """
         moves = np.zeros((1, 2))
-        if self.structure.modes > 1 and all(problem.load.lasting for problem in self.problems):
+        if everywhere and self.structure.modes > 1 and all(problem.load.lasting for problem in self.problems):
             shifts = float(np.exp(-vector[: self.structure.modes].min())) * np.array(_MIDDLES)
             moves = np.array([*product(shifts, np.log(_DURATIONS))])
         releases = range(len(self.fits))
@@ -248,9 +274,15 @@ class _JointPoint:
         return normal, downhill
 
 
-def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], structure: PoleStructure) -> ReleasesFit:
+def fit_jointly(
+    fits: Sequence[OutputErrorFit],
+    wholes: Sequence[BlockMeans],
+    structure: PoleStructure,
+    variances: Sequence[float] | None = None,
+) -> ReleasesFit:
     """Return one model of releases, from their own fits and all their samples.
 
+    `variances`: of the noise of a sample of each release; None: those of the fits.
     `structure`: of the model, which at least one of the fits has but for the number of its numerator terms. All
     records together determine that number, from the least of the fits to the largest, or that of a chain of masses.
 
@@ -261,22 +293,29 @@ def fit_jointly(fits: Sequence[OutputErrorFit], wholes: Sequence[BlockMeans], st
     same = [fit for fit in fits if _counts(fit.problem.structure) == _counts(structure)]
     if not same:
         raise ValueError("fits: expected one with the poles of the structure, found none")
-    poles = np.median([_sorted_poles(fit) for fit in same], axis=0)
     terms = [fit.problem.structure.terms for fit in same]
-    richest = _Releases(replace(structure, terms=max(*terms, structure.smoothest)), tuple(fits))
-    start = richest.start(poles)
-    moves, tables = richest.near(start)
+    noise = tuple(variances or (fit.variance for fit in fits))
+    richest = _Releases(replace(structure, terms=max(*terms, structure.smoothest)), tuple(fits), noise)
+    starts = [(start, *richest.near(start, everywhere=n == 0)) for n, start in enumerate(richest.starts())]
     tried = list[_JointPoint]()
     for count in range(min(terms), richest.structure.terms + 1):
-        releases = _Releases(replace(structure, terms=count), tuple(fits))
-        first = releases.best_of(start, moves, tables)
-
-        def at(vector: FloatArray, releases: _Releases = releases) -> _JointPoint | None:
-            return _JointPoint(releases, vector) if releases.allowed(vector) else None
-
-        tried.append(levenberg_marquardt(at, _JointPoint(releases, first), _RULES, prior=releases.prior(first)).point)
+        releases, coarse = replace(richest, structure=replace(structure, terms=count)), list[_JointPoint]()
+        for start in starts:
+            hopeless = min((point.loss for point in coarse), default=np.inf)
+            coarse.append(_solved_from(releases, releases.best_of(*start), replace(_COARSE, tolerance=hopeless)))
+        best = min(coarse, key=lambda point: point.loss + _MARGIN * (point is not coarse[0]))
+        tried.append(_solved_from(releases, best.parameters, _RULES))
     best = min(tried, key=lambda point: point.loss + TERM * point.releases.structure.terms)
     return _as_joint_fit(best, wholes)
+
+
+def _solved_from(releases: _Releases, first: FloatArray, rules: LMOptions) -> _JointPoint:
+    """Return the least-squares parameters from a start vector."""
+
+    def at(vector: FloatArray) -> _JointPoint | None:
+        return _JointPoint(releases, vector) if releases.allowed(vector) else None
+
+    return levenberg_marquardt(at, _JointPoint(releases, first), rules, prior=releases.prior(first)).point
 
 
 def _descend(tables: FloatArray, first: int) -> tuple[float, list[int]]:

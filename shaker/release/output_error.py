@@ -179,6 +179,18 @@ class OutputErrorFit(Arrays):
         """Variance of the noise of a sample, from the residual."""
         return self.square / max(1, self.size - len(self.vector) - len(self.linear))
 
+    @property
+    def delay_s(self) -> float:
+        """Mean time of the load's change plus the chain's lag at the lowest mode."""
+        structure, stages = self.problem.structure, self.problem.stages(self.vector)
+        middle, omega = self.problem.release(self.vector)[0], float(np.exp(self.vector[: structure.modes].min()))
+        numerator = self.linear[1:] @ (1j * omega / structure.scale) ** np.arange(structure.terms) / self.linear[1]
+        chain = np.prod(1.0 + 1j * omega * np.exp(-self.vector[2 * structure.modes : structure.order]))
+        lag = float(np.angle(chain / numerator)) / omega
+        if stages is None:
+            return middle + lag
+        return middle + lag + (0.5 - stages.share) * float(np.exp(self.vector[structure.order + 1]))
+
 
 def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> tuple[FloatArray, BlockResponses]:
     """Return the unweighted design (B, 1 + terms) and the responses of the poles."""

@@ -12,29 +12,27 @@ import numpy as np
 from shaker.lti.system import ModalModel, coordinate_sizes, frame_of, from_coordinates, to_coordinates
 from shaker.release.load_response import MOMENTS
 from shaker.release.model_order import TERM, add_numerator_terms, penalised_chi_squared, with_loose_prior
-from shaker.release.output_error import OutputErrorFit, design, solve, squares
+from shaker.release.output_error import OutputErrorFit, solve, squares
 from shaker.release.record import ReleaseShape
-from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, REJECT_CHI2
 
 _SPLITS = (0.003, 0.03, 0.12, 0.3)  # trial shares of the chain in the squared lags of chain and release
 _SHARES = (0.35, 0.5, 0.65)  # trial shares of the first of two stages
 _DISTANCES = (0.1, 0.2, 0.35, 0.6)  # trial distances of two stages, in periods of the lowest mode
-_LAGS = (0.1, 0.3)  # trial lags of the chain with two stages, in radians of the lowest mode
+_LAG = 0.2  # trial lag of the chain with two stages, in radians of the lowest mode
 _PART = 0.1  # trial length of a stage over their distance
 _LOOSE = (0.5, 2.0)  # standard deviations of share and logarithm of the length of a stage in the fit
 HOPELESS = 4.0 * REJECT_CHI2  # χ² of a further shape above that of the likeliest from which it is left out
 _ENOUGH = 0.03  # predicted fall of χ² by a step at which a fit from known poles ends
-_DISTURBED = 4.0  # significant excess of the residual about the release, in standard deviations
+_TRIALS = {"exponential": 1, "stages": 2}  # number of start vectors, the best first, from which a shape is fitted
 
 
-def with_further_shapes(
-    found: Sequence[OutputErrorFit], by_rule: bool, staged: bool = False
-) -> tuple[OutputErrorFit, ...]:
+def with_further_shapes(found: Sequence[OutputErrorFit], by_rule: bool) -> tuple[OutputErrorFit, ...]:
     """Return fits with those of an exponential release and of two stages.
 
-    Two stages are fitted if the record calls for them, or `staged`. `found`: the likeliest first. `by_rule`: whether
-    the number of real poles is free; an exponential release may then replace a second one.
+    `found`: the likeliest first. `by_rule`: whether the number of real poles is free; an exponential release may then
+    replace a second one.
     """
     likeliest, fits = found[0], [*found]
     reals = likeliest.problem.structure.reals
@@ -44,8 +42,7 @@ def with_further_shapes(
             break
     best = min(fits, key=penalised_chi_squared)
     count = min(1, reals) if by_rule else reals
-    if staged or _calls_for_stages(best):
-        fits.append(_fit_from(best, "stages", _staged_starts(best, count), count))
+    fits.append(_fit_from(best, "stages", _staged_starts(best, count), count))
     return tuple(sorted(fits, key=shape_chi_squared))
 
 
@@ -55,31 +52,11 @@ def shape_chi_squared(fit: OutputErrorFit) -> float:
     return penalised_chi_squared(fit) + TERM * staged * fit.problem.structure.modes
 
 
-def about_release(fit: OutputErrorFit) -> BoolArray:
-    """Return which blocks (B,) start about the release or a period after it."""
-    middle, length = fit.problem.release(fit.vector)
-    period = 2.0 * np.pi / float(np.exp(fit.vector[: fit.problem.structure.modes].min()))
-    late = fit.problem.samples.time_s - middle
-    return np.asarray((late > -0.5 * length - 0.25 * period) & (late < 0.5 * length + period))
-
-
-def _calls_for_stages(fit: OutputErrorFit) -> bool:
-    """Return whether a fit needs zeros, further poles, or misses the release."""
-    structure, samples, near = fit.problem.structure, fit.problem.samples, about_release(fit)
-    residual = samples.weight * (samples.value - design(fit.problem, fit.vector, samples) @ fit.linear)
-    if not np.any(near) or np.all(near):
-        return False
-    limit = 1.0 + _DISTURBED * np.sqrt(2.0 / np.count_nonzero(near))
-    disturbed = float(np.mean(residual[near] ** 2)) > limit * float(np.mean(residual[~near] ** 2))
-    return disturbed or structure.reals > 1 or structure.terms > 1
-
-
 def _exponential_starts(fit: OutputErrorFit, reals: int) -> list[FloatArray]:
     """Return start vectors with the delay and the squared lags of a fit."""
     problem, modes, order = fit.problem, fit.problem.structure.modes, fit.problem.structure.order
-    lags = np.exp(-fit.vector[2 * modes : order])
-    middle, length = problem.release(fit.vector)
-    square, delay = float(np.sum(lags**2)) + MOMENTS[problem.load.shape] * length**2, middle + float(np.sum(lags))
+    lags, length, delay = np.exp(-fit.vector[2 * modes : order]), problem.release(fit.vector)[1], fit.delay_s
+    square = float(np.sum(lags**2)) + MOMENTS[problem.load.shape] * length**2
     starts = []
     for split in _SPLITS:
         chain = np.full(reals, np.sqrt(split * square / max(1, reals))) * (1.0 + 0.2 * np.arange(reals))
@@ -91,12 +68,11 @@ def _exponential_starts(fit: OutputErrorFit, reals: int) -> list[FloatArray]:
 
 def _staged_starts(fit: OutputErrorFit, reals: int) -> list[FloatArray]:
     """Return start vectors with the delay of a fit."""
-    problem, modes, order = fit.problem, fit.problem.structure.modes, fit.problem.structure.order
-    delay = problem.release(fit.vector)[0] + float(np.sum(np.exp(-fit.vector[2 * modes : order])))
+    modes, delay = fit.problem.structure.modes, fit.delay_s
     omega = float(np.exp(fit.vector[:modes].min()))
     starts = []
-    for share, periods, radians in product(_SHARES, _DISTANCES, _LAGS):
-        distance, chain = 2.0 * np.pi * periods / omega, np.full(reals, radians / omega)
+    for share, periods in product(_SHARES, _DISTANCES):
+        distance, chain = 2.0 * np.pi * periods / omega, np.full(reals, _LAG / omega)
         tail = [delay - np.sum(chain) - distance * (0.5 - share), np.log(distance), share, np.log(_PART * distance)]
         starts.append(np.concatenate([fit.vector[: 2 * modes], -np.log(chain), tail]))
     return starts
@@ -110,12 +86,16 @@ def _fit_from(plain: OutputErrorFit, shape: ReleaseShape, starts: Sequence[Float
     structure = replace(plain.problem.structure, terms=1, reals=reals)
     problem = replace(plain.problem, structure=structure, load=replace(plain.problem.load, shape=shape))
     highest_hz = float(np.exp(plain.vector[: structure.modes].max())) / (2 * np.pi)
-    start = min(starts, key=lambda vector: float(squares(problem, vector[None])[0, -1]))
-    problem, start = with_loose_prior(problem, start, highest_hz)
-    if shape == "stages":
-        problem = replace(problem, u_prior=np.concatenate([problem.u_prior[:-2], _LOOSE]))
+    starts = sorted(starts, key=lambda vector: float(squares(problem, vector[None])[0, -1]))
     far = HOPELESS + TERM * plain.problem.structure.order if plain.problem.structure.terms == 1 else np.inf
-    fit = solve(problem, start, _ENOUGH, plain.square * np.exp(min(far * problem.colour / plain.size, 700.0)))
+    tried = list[OutputErrorFit]()
+    for start in starts[: _TRIALS[shape]]:
+        loose, first = with_loose_prior(problem, start, highest_hz)
+        if shape == "stages":
+            loose = replace(loose, u_prior=np.concatenate([loose.u_prior[:-2], _LOOSE]))
+        hopeless = plain.square * np.exp(min(far * problem.colour / plain.size, 700.0))
+        tried.append(solve(loose, first, _ENOUGH, hopeless))
+    fit = min(tried, key=lambda one: one.square)
     if plain.problem.structure.terms == 1 or shape_chi_squared(fit) < penalised_chi_squared(plain):
         return fit
     return add_numerator_terms(fit, [fit.vector] * structure.order, highest_hz)

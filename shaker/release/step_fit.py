@@ -112,7 +112,7 @@ def as_step_fit(
     covariance = fit_covariance(solution, whole)
     model = modal_model(solution, covariance.covariance, record.u_amplitude)
     notices = fit_notices(record, reading, solution, model, covariance)
-    if (dependence := amplitude_dependence(solution)) is not None:
+    if (dependence := amplitude_dependence([solution])) is not None:
         model = dependence.widen(model)
         notices = (*notices, dependence.notice(model, record.unit, f"{record.name}, {reading.channel}"))
     middle, length = solution.problem.release(solution.vector)
@@ -226,19 +226,16 @@ def fit_shapes(
     modes: int | None = None,
     real_poles: int | None = None,
     method: Literal["pencil", "arx"] = "pencil",
-    release: ReleaseOption | Literal["staged"] | None = None,
+    release: ReleaseOption | None = None,
 ) -> tuple[StepFit, ...]:
-    """Return the result of `fit_step` for each possible shape, the likeliest first.
-
-    `release` "staged": as by default, with two stages in any case.
-    """
-    began, staged, release = time.perf_counter(), release == "staged", None if release == "staged" else release
+    """Return the result of `fit_step` for each possible shape, the likeliest first."""
+    began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     loads = candidate_loads(record, reading, release)
     search = OrderSearch(whole, reading, loads, method, modes, real_poles, chain=_stated_pole(record, reading))
-    found, notices = _found_shapes(search, release, staged), list[Notice]()
+    found, notices = _found_shapes(search, release), list[Notice]()
     if search.chain is not None:
-        free = _found_shapes(replace(search, chain=None), release, staged)
+        free = _found_shapes(replace(search, chain=None), release)
         if shape_chi_squared(free[0]) < shape_chi_squared(found[0]) - REJECT_CHI2:
             stated_us, where = 1e6 * np.exp(-search.chain[0]), f"{record.name}, {channel}"
             found, notices = free, [Notice(STATED_LAG_CONTRADICTED, where, stated_us=stated_us)]
@@ -253,11 +250,11 @@ def fit_shapes(
     return tuple(replace(fit, notices=(*fit.notices, *notices)) for fit in order_hypotheses(fits))
 
 
-def _found_shapes(search: OrderSearch, release: ReleaseOption | None, staged: bool) -> tuple[OutputErrorFit, ...]:
+def _found_shapes(search: OrderSearch, release: ReleaseOption | None) -> tuple[OutputErrorFit, ...]:
     """Return the supported fits of every shape, the likeliest first."""
     found = _without_drift(search)
     if search.loads[0].lasting and release in (None, "exponential"):
-        found = with_further_shapes(found, search.reals is None, staged)
+        found = with_further_shapes(found, search.reals is None)
         found = tuple(one for one in found if release in (None, one.problem.load.shape))
     return found
 
@@ -267,7 +264,7 @@ def _without_drift(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
     found = search_order(search)
     while search.modes is None and (distinct := distinct_modes(found[0])) < found[0].problem.structure.modes:
         fewer = search_order(replace(search, modes=distinct))
-        dependence = amplitude_dependence(fewer[0])
+        dependence = amplitude_dependence([fewer[0]])
         explained = 0.0 if dependence is None else (1.0 - dependence.square_share) * fewer[0].square
         if explained > _EXPLAINED * (fewer[0].square - found[0].square):
             return fewer

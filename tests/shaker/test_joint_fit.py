@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from shaker.release.joint_fit import ReleasesFit, fit_jointly
 from shaker.release.load_response import every_sample
+from shaker.release.output_error import OutputErrorFit
 from shaker.release.reading import read_release
 from shaker.release.record import StepRecord
 from shaker.release.step_fit import fit_step
@@ -92,3 +93,21 @@ def test_a_structure_that_no_fit_has_is_refused(records):
     whole = every_sample(records[0].samples[0], records[0].time_s, 1.0 / RATE_HZ)
     with pytest.raises(ValueError, match="structure"):
         fit_jointly([fit], [whole], replace(fit.problem.structure, modes=3))
+
+
+def test_one_good_fit_of_a_release_is_enough_to_start_from(records):
+    """Single fits may end at a lag and a release of the wrong size; the model of all must not."""
+    fits = [fit for one in records if (fit := fit_step(one, "Fz", release="ramp").solution) is not None]
+    order = fits[0].problem.structure.order
+
+    def strayed(fit: OutputErrorFit) -> OutputErrorFit:
+        vector = fit.vector.copy()
+        vector[order - 1] -= 1.5  # a lag of 4.5 times the size
+        vector[order + 1] += 1.2  # a release of 3.3 times the length
+        return replace(fit, vector=vector)
+
+    wholes = [every_sample(one.samples[0], one.time_s, 1.0 / RATE_HZ) for one in records]
+    good = fit_jointly(fits, wholes, fits[0].problem.structure)
+    found = fit_jointly([fits[0], *map(strayed, fits[1:])], wholes, fits[0].problem.structure)
+    assert found.cost == pytest.approx(good.cost, abs=0.5)
+    assert found.model.frequency_hz[0] == pytest.approx(HERTZ, abs=3.0 * np.sqrt(found.model.covariance[0, 0]))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad, solve_ivp
 
 from shaker.model_notices import AMPLITUDE_DEPENDENT, LAG_NOT_ATTRIBUTED
+from shaker.release.amplitude_dependence import amplitude_dependence
 from shaker.release.load_response import ReleaseLoad, Stages, every_sample, reduce_to_blocks, responses
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, columns, slopes
 from shaker.release.record import StepRecord
@@ -74,8 +75,8 @@ def output_of(lags_s: tuple[float, ...]) -> FloatArray:
     return np.where(tau > 0.0, 1.0 + ring, 0.0)
 
 
-def record_of(output: FloatArray, noise: float, lag_s: float | None = None) -> StepRecord:
-    samples = output + noise * np.random.default_rng(3).standard_normal(len(output))
+def record_of(output: FloatArray, noise: float, lag_s: float | None = None, seed: int = 3) -> StepRecord:
+    samples = output + noise * np.random.default_rng(seed).standard_normal(len(output))
     return StepRecord(
         "simulated", ("Fz",), "mV", samples[None], RATE_HZ, "Fz", 1.0, lag_s=lag_s, u_lag_s=0.01 * CHAIN_S
     )
@@ -107,9 +108,9 @@ def test_a_stated_chain_attributes_the_lag() -> None:
     assert LAG_NOT_ATTRIBUTED.code not in {notice.code for notice in fit.notices}
 
 
-def test_a_softening_spring_is_stated_and_in_the_uncertainty() -> None:
-    """A cubic spring: x - εx³ lowers the frequency by 3ε/8·a²."""
-    omega, soft = 2 * np.pi * MODE_HZ, 0.004 * 8 / 3
+def softening_output(relative: float) -> FloatArray:
+    """Output of a cubic spring x - εx³, which lowers the frequency by 3ε/8·a², after a step."""
+    omega, soft = 2 * np.pi * MODE_HZ, relative * 8 / 3
 
     def motion(_: float, state: FloatArray) -> list[float]:
         x, v = state
@@ -117,7 +118,11 @@ def test_a_softening_spring_is_stated_and_in_the_uncertainty() -> None:
 
     tau = np.maximum(np.arange(2000) / RATE_HZ - ONSET_S, 0.0)
     end = solve_ivp(motion, (0.0, tau[-1]), [1.0, 0.0], t_eval=np.unique(tau), rtol=1e-8, atol=1e-10)
-    fit = fit_step(record_of(1.0 - np.interp(tau, end.t, end.y[0]), 0.01), "Fz")
+    return np.asarray(1.0 - np.interp(tau, end.t, end.y[0]))
+
+
+def test_a_softening_spring_is_stated_and_in_the_uncertainty() -> None:
+    fit = fit_step(record_of(softening_output(0.004), 0.01), "Fz")
     assert fit.model is not None
     assert fit.model.covariance is not None
     (notice,) = (notice for notice in fit.notices if notice.code == AMPLITUDE_DEPENDENT.code)
@@ -125,3 +130,28 @@ def test_a_softening_spring_is_stated_and_in_the_uncertainty() -> None:
     expanded = 1.96 * np.sqrt(fit.model.covariance[0, 0])
     for true in (MODE_HZ, 0.996 * MODE_HZ):
         assert abs(fit.model.frequency_hz[0] - true) < expanded
+
+
+def test_several_records_show_a_softening_that_hides_in_each() -> None:
+    output = softening_output(0.0012)
+    fits = [fit_step(record_of(output, 0.01, seed=seed), "Fz").solution for seed in range(6)]
+    solutions = [fit for fit in fits if fit is not None]
+    single = [amplitude_dependence([fit], 0.0) for fit in solutions]
+    together = amplitude_dependence(solutions)
+    assert together is not None
+    assert together.chi_squared > 2.0 * np.median([one.chi_squared for one in single if one is not None])
+    assert together.frequency_change == pytest.approx(-0.0012, rel=0.35)
+
+
+def test_noise_that_rings_with_the_mode_is_no_dependence_on_the_amplitude() -> None:
+    """Floor motion excites the mode all the time; its swing adds to that of the release with any phase."""
+    rng, clean = np.random.default_rng(5), output_of((CHAIN_S,))
+    omega, decay = 2 * np.pi * MODE_HZ * np.sqrt(1 - ZETA**2), 2 * np.pi * MODE_HZ * ZETA
+    tau = np.arange(2000) / RATE_HZ
+    answer = np.exp(-decay * tau) * np.sin(omega * tau)
+    found = []
+    for _ in range(8):
+        ringing = np.convolve(rng.standard_normal(4000), answer)[2000:4000]
+        record = record_of(clean + 0.03 * ringing / np.std(ringing), 1e-3)
+        found.append(amplitude_dependence([fit] if (fit := fit_step(record, "Fz").solution) else []))
+    assert sum(one is not None for one in found) <= 1

@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion.base import PERCENT
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
 from fusion.sensor.step.step_joint import fit_component
-from fusion.sensor.step.step_pool import index_quantities, parameter_quantities, pool_models
+from fusion.sensor.step.step_pool import IndexResults, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import (
     StepComponent,
@@ -29,9 +30,11 @@ from fusion.sensor.step.step_releases import (
     stated_gain,
     static_gains,
 )
-from fusion.sensor.unmodelled_effects import coverage_notice, stated_influences
+from fusion.sensor.unmodelled_effects import RELATIVE_STEP, coverage_notice, stated_influences
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shaker.lti.indices import SETTLING
 from shaker.lti.system import ModalModel
+from shaker.model_notices import AMPLITUDE_DEPENDENT
 from shakercal._common.notices import Notice
 
 # One load component: model, indices, release devices and methods.
@@ -69,8 +72,13 @@ def evaluate_component(
     pooled = pool_models(contributions, mountings, u_scale, influences, alternatives)
     stated, _ = stated_gain(manifest, channel, component)
     found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, influences)
-    notices += [n.at(f"{r.name}: {r.driven}") for r, fit in fits for n in fit.notices]
-    notices += [other.notice for other in others if other.notice is not None]
+    of_all = [other.notice for other in others if other.notice is not None]
+    if AMPLITUDE_DEPENDENT.code in [notice.code for notice in of_all]:  # of all releases in place of each of them
+        found = _drop_damping_uncertainty(found)
+        fits = [
+            (r, replace(f, notices=tuple(n for n in f.notices if n.code != AMPLITUDE_DEPENDENT.code))) for r, f in fits
+        ]
+    notices += [*(n.at(f"{r.name}: {r.driven}") for r, fit in fits for n in fit.notices), *of_all]
     entry = ModelEntry(
         channel=channel,
         component=component,
@@ -94,6 +102,36 @@ def evaluate_component(
     return result, (*notices, *_remarks(result, pooled.model, found.notices, stated))
 
 
+_OF_DAMPING = ("damping_ratio", "peak_gain", *SETTLING)
+_CONTRADICTED = 0.5  # U of a damping ratio over it from which a dependence on the amplitude leaves it without a value
+_DELAY_S = 1e-5  # delay of a chain for which the effect is stated
+
+
+def _drop_damping_uncertainty(found: IndexResults) -> IndexResults:
+    """Return indices, those of a damping ratio that is uncertain by half without U."""
+    damping = next((one for one in found.quantities if one.name == "damping_ratio"), None)
+    if damping is None or damping.expanded < _CONTRADICTED * abs(damping.value):
+        return found
+    quantities = tuple(
+        replace(one, u=np.nan, low=np.nan, high=np.nan) if one.name in _OF_DAMPING else one for one in found.quantities
+    )
+    rest = {cause: {n: u for n, u in parts.items() if n not in _OF_DAMPING} for cause, parts in found.budget.items()}
+    share = PERCENT * damping.expanded / abs(damping.value)
+    notice = Notice(declared.DAMPING_NOT_LINEAR, damping.name, percent=share)
+    return IndexResults(quantities, (*found.notices, notice), rest)
+
+
+def _of_delay(result: StepComponent, model: ModalModel) -> Iterator[Notice]:
+    """Yield the notice of an unknown delay of the chain, which moves the quadrature frequency."""
+    quadrature = result.find("quadrature_hz")
+    if quadrature is None or any(r.record.lag_s is not None or r.record.force is not None for r in result.chosen):
+        return
+    near = quadrature.value * np.array([1.0 - RELATIVE_STEP, 1.0 + RELATIVE_STEP])
+    phases = np.angle(model.response(near) / model.response(np.full(2, quadrature.value)))
+    shift = 2.0 * np.pi * quadrature.value * _DELAY_S * np.ptp(near) / max(abs(float(np.diff(phases)[0])), 1e-300)
+    yield Notice(declared.CHAIN_DELAY_UNKNOWN, result.component, delay_us=1e6 * _DELAY_S, shift_hz=shift)
+
+
 def _remarks(
     result: StepComponent, model: ModalModel, of_indices: Sequence[Notice], stated: float | None
 ) -> Iterator[Notice]:
@@ -104,6 +142,7 @@ def _remarks(
     yield coverage_notice(result.scope, result.influences.outside, "models")
     for notice in of_indices:
         yield notice.at(f"{where}, {notice.where}")
+    yield from _of_delay(result, model)
     if not len(model.real_hz):
         yield Notice(declared.NO_REAL_POLE, where, channel=channel)
     if stated is None:

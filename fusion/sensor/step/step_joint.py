@@ -23,7 +23,7 @@ from fusion.sensor.step.step_releases import (
     fit_release,
 )
 from shaker.lti.system import ModalModel
-from shaker.release.amplitude_dependence import EVENLY, amplitude_dependence
+from shaker.release.amplitude_dependence import EVENLY, SIGNIFICANT, amplitude_dependence
 from shaker.release.joint_fit import ReleasesFit, fit_jointly
 from shaker.release.load_response import BlockMeans, every_sample
 from shaker.release.model_order import STEEP
@@ -113,9 +113,16 @@ def fit_together(releases: Sequence[StepRelease], kinds: Mapping[str, str], stru
     if len(solutions) < len(releases) or not own:
         return None
     try:
-        return fit_jointly(solutions, [_samples(release) for release in releases], own[0])
+        return fit_jointly(
+            solutions, [_samples(release) for release in releases], own[0], [_noise(r) for r in releases]
+        )
     except FAILURES:
         return None
+
+
+def _noise(release: StepRelease) -> float:
+    """Return the variance of a sample that the best fit of a release leaves."""
+    return min(fit.solution.variance for fit in release.shapes if fit.solution is not None)
 
 
 def _of_kind(release: StepRelease, kind: str) -> StepFit:
@@ -211,7 +218,7 @@ def shared_model(releases: Sequence[StepRelease], component: str) -> CommonModel
     if not joint.consistent:
         return None
     alternatives = [one for device in kinds for one in _alternatives(releases, component, kinds, joint, device, others)]
-    return CommonModel(of_joint(joint), (*alternatives, *_amplitudes(releases, joint.model)))
+    return CommonModel(of_joint(joint), (*alternatives, *_amplitudes(releases, component, joint.model)))
 
 
 def _alternatives(
@@ -251,20 +258,21 @@ def _with_notices(
         yield OtherModel(made(fit, end), notice)
 
 
-def _amplitudes(releases: Sequence[StepRelease], model: ModalModel) -> Iterator[OtherModel]:
-    """Yield the models of small and of the first amplitudes, if they differ."""
-    found = []
-    for fit in (release.shapes[0] for release in releases):
-        dependence = None if fit.solution is None else amplitude_dependence(fit.solution)
-        if dependence is not None and fit.model is not None:
-            hertz = fit.model.frequency_hz[dependence.mode]
-            found.append(replace(dependence, mode=int(np.argmin(np.abs(model.frequency_hz - hertz)))))
-    if found:
-        largest = max(found, key=lambda one: float(np.abs(one.shifts).max()))
-        for change in largest.changes(model):
-            yield OtherModel(HypothesisModel(model.with_vector(model.vector + change), EVENLY), None)
+def _amplitudes(releases: Sequence[StepRelease], component: str, model: ModalModel) -> Iterator[OtherModel]:
+    """Yield the models of small and of the first amplitudes, if they may differ."""
+    fits = [(fit.model, fit.solution) for fit in (release.shapes[0] for release in releases)]
+    solutions = [solution for of_fit, solution in fits if solution is not None and of_fit is not None]
+    found = amplitude_dependence(solutions, _DOUBTFUL)
+    if found is None:
+        return
+    hertz = float(np.exp(solutions[0].vector[found.mode])) / (2.0 * np.pi)
+    change = replace(found, mode=int(np.argmin(np.abs(model.frequency_hz - hertz))))
+    notice = change.notice(model, releases[0].record.unit, component) if found.chi_squared > SIGNIFICANT else None
+    for moved, one in zip(change.changes(model), (notice, None), strict=True):
+        yield OtherModel(HypothesisModel(model.with_vector(model.vector + moved), EVENLY), one)
 
 
+_DOUBTFUL = 4.0  # χ² of a dependence on the amplitude that the records do not exclude and U includes
 _HOPELESS = 30.0  # excess of χ² in the releases' own fits from which a hypothesis is not fitted to all releases
 
 
@@ -295,7 +303,7 @@ def averaged_model(releases: Sequence[StepRelease], component: str) -> CommonMod
 
         first = next(r for r in releases if r.record.release == device and r.excess < REJECT_CHI2)
         alternatives += _with_notices(first.shapes, component, device, mean)
-    return CommonModel(found, (*alternatives, *_amplitudes(releases, found.mean_model)))
+    return CommonModel(found, (*alternatives, *_amplitudes(releases, component, found.mean_model)))
 
 
 # Fits of the releases of a component, and the model of all of them.
@@ -325,7 +333,7 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
     fits, of_fits = zip(*(fit_release(release, settings) for release in releases), strict=True)
     sound, refitted, notices = _sound(fits, settings)
     notices = [*chain.from_iterable(of_fits), *notices]
-    fitted = fit_common_shape(_in_stages(sound, settings))
+    fitted = fit_common_shape(sound)
     chosen, reason = choose_releases(fitted)
     if not chosen:
         return FittedReleases(_latest(fits, fitted), (), reason, tuple(notices))
@@ -336,21 +344,6 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         common, refitted = averaged_model(chosen, component), [*refitted, *refit]
         notices += [*of_structure, Notice(declared.RELEASES_AVERAGED, component, count=len(chosen))]
     return FittedReleases(_latest(fits, fitted, chosen), chosen, reason, tuple(notices), tuple(refitted), common)
-
-
-def _in_stages(releases: Sequence[StepRelease], settings: StepSettings) -> list[StepRelease]:
-    """Return releases, in two stages as well if another by their device may be."""
-    devices = {
-        release.record.release
-        for release in releases
-        if any(fit.shape == "stages" and fit.excess < REJECT_CHI2 for fit in release.shapes)
-    }
-    return [
-        fit_release(release, settings, staged=True)[0]
-        if release.record.release in devices and all(fit.shape != "stages" for fit in release.shapes)
-        else release
-        for release in releases
-    ]
 
 
 def _latest(*series: Sequence[StepRelease]) -> tuple[StepRelease, ...]:

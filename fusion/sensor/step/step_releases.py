@@ -245,16 +245,16 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
 
 
 def fit_release(
-    release: StepRelease, settings: StepSettings, structure: tuple[int, int] | None = None, *, staged: bool = False
+    release: StepRelease, settings: StepSettings, structure: tuple[int, int] | None = None
 ) -> tuple[StepRelease, tuple[Notice, ...]]:
     """Return a release with its model.
 
-    `structure` (modes, real poles) is selected by rule if None. `staged`: whether two stages are fitted in any case. If
-    no model is found, the release has none and a notice gives the reason.
+    `structure` (modes, real poles) is selected by rule if None. If no model is found, the release has none and a notice
+    gives the reason.
     """
     counts = structure or (settings.modes, settings.real_poles)
     method: Literal["arx", "pencil"] = "arx" if settings.method == "arx" else "pencil"
-    shape = "staged" if staged else None if settings.release == "auto" else settings.release
+    shape = None if settings.release == "auto" else settings.release
     try:
         shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape)
     except FAILURES as error:
