@@ -61,6 +61,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "masses_accelerometer": ("SC-890", "SC-891", "SC-894"),
     "masses_loss_factor": ("SC-892", "SC-893"),
     "masses_softening": ("SC-890", "SC-899"),
+    "transfer_lag": ("SC-891", "SC-894"),
+    "transfer_accelerometer": ("SC-891", "SC-894"),
     "transfer_loss_factor": ("SC-897", "SC-898"),
     "transfer_softening": ("SC-899", "SC-909"),
     "rotation_4_digits": ("SC-624",),
