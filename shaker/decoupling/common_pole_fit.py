@@ -63,6 +63,7 @@ _PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
 _LEAST_BLOCKS = 1200  # per record, if it has as many samples
 _MIN_DISTANCE = 2.0  # of different poles, in decay rates
 _REST = 1.5  # durations of a release before its middle, from which the record is at rest
+_AWAY = 8.0  # standard deviations of the noise from which an output is no longer at rest
 _NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
 _BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
@@ -123,6 +124,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
     noise = noise_with_steps(noise, converter_steps(records))
+    releases = _after_rest(records, releases, noise)
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
     candidate = add_first_lag(problem, start, tuple(releases))
@@ -165,6 +167,24 @@ def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> 
         count += rest.shape[1] - 1
     spans = np.max([np.ptp(record.samples, axis=1) for record in records], axis=0)
     return np.asarray(np.maximum(np.sqrt(sums / count), 1e-9 * spans.max()))
+
+
+def _after_rest(
+    records: Sequence[StepRecord], releases: Sequence[ReleaseTiming], noise: FloatArray
+) -> list[ReleaseTiming]:
+    """Return releases of which none is over while all outputs are still at rest.
+
+    A first estimate may be wrong by a period of the ringing. It is replaced by the usual duration from the end of rest.
+    """
+    usual_s, moved = float(np.median([one.duration_s for one in releases])), []
+    for record, release in zip(records, releases, strict=True):
+        begin_s = release.middle_s - 0.5 * release.duration_s
+        rest = record.samples[:, : max(8, int((begin_s - record.start_s) * record.sample_rate_hz))]
+        away = np.any(np.abs(record.samples - rest.mean(axis=1, keepdims=True)) > _AWAY * noise[:, None], axis=0)
+        end_s = record.start_s + float(np.argmax(away)) / record.sample_rate_hz
+        late = release.middle_s + usual_s < end_s
+        moved.append(replace(release, middle_s=end_s, duration_s=usual_s) if late else release)
+    return moved
 
 
 def _posed(
