@@ -82,10 +82,10 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
         if min((loss for loss, _ in offers), default=np.inf) > _EXPLAINED * problem.values:
             for lagged, moved in starts:
                 offer(lagged, moved if shape is None else [release.in_shape(shape) for release in moved])
-            if shape == "exponential":  # lag and time constant are easily exchanged
-                fit = fit_poles(problem, *min(offers[len(starts) :], key=lambda pair: pair[0])[1], _FEW_STEPS, _ROUGH)
-                for one in (fit, *_exchanged(problem, fit)):
-                    offers.append((one.loss, (one.poles, one.releases)))
+            fit = fit_poles(problem, *min(offers[-len(starts) :], key=lambda pair: pair[0])[1], _FEW_STEPS, _ROUGH)
+            # A lag and the time constant of an exponential are easily exchanged.
+            for one in (fit, *_exchanged(problem, fit)):
+                offers.append((one.loss, (one.poles, one.releases)))
     return min(offers, key=lambda pair: pair[0] * _price(pair[1][1][0].shape))[1]
 
 
