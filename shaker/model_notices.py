@@ -466,7 +466,7 @@ RELEASE_SHAPE_MISFIT = DeclaredNotice(
     remedy="Use another release device, or check the record for disturbances.",
     link="decoupling.md",
 )
-RELEASE_MODEL_REFUTED = DeclaredNotice(
+RELEASE_MODEL_REJECTED = DeclaredNotice(
     "SC-925",
     "warning",
     "The records refute the model: its residual is up to {factor:.1f} times the noise at rest.",

@@ -46,7 +46,7 @@ from shaker.model_notices import (
     DURATION_UNLIKELY,
     FIT_NOT_CONVERGED,
     LAG_OR_RELEASE,
-    RELEASE_MODEL_REFUTED,
+    RELEASE_MODEL_REJECTED,
     RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SHAPE_MISFIT,
     RELEASE_SIZE_SCATTER,
@@ -328,7 +328,7 @@ def multi_fit(
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
     releases = _releases(problem, records, fit, (spread + later.T @ later, noise / at_rest))
-    rejected = _refuted(releases)
+    rejected = _is_rejected(releases)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     for outputs, coefficients in zip(follows, point.coefficients, strict=True):
         for c, follow in enumerate(
@@ -434,7 +434,7 @@ def _releases(
     return tuple(results)
 
 
-def _refuted(releases: Sequence[ReleaseFit]) -> bool:
+def _is_rejected(releases: Sequence[ReleaseFit]) -> bool:
     """Return whether an output departs from the model in every release of a load."""
     loads = {one.component for one in releases}
     least = [np.min([one.misfit for one in releases if one.component == load], axis=0) for load in loads]
@@ -475,7 +475,7 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
     assert model.covariance is not None
     if np.all(np.isnan(model.covariance)):
         factor = float(max(release.misfit.max() for release in releases))
-        notices.append(Notice(RELEASE_MODEL_REFUTED, "model", factor=factor))
+        notices.append(Notice(RELEASE_MODEL_REJECTED, "model", factor=factor))
     for release in releases:
         worst = int(np.argmax(release.misfit))
         if release.misfit[worst] > _COLOURED:

@@ -98,7 +98,10 @@ def _lagged(releases: Sequence[ReleaseTiming], late_s: float) -> Iterator[Releas
 
 
 def _ringing(poles: Poles) -> Poles:
-    """Return poles without modes that hardly ring, which may be a lag or a wrong release."""
+    """Return poles without modes that hardly ring.
+
+    They may be a lag or a wrong release.
+    """
     rings = poles.damping_ratio < _HARDLY_RINGING
     if np.all(rings) or not np.any(rings):
         return poles

@@ -437,7 +437,8 @@ def _share_within_range(model: MultiModel, change: FloatArray) -> float:
     """Return the share of a sampled change with which every pole still decays."""
     f, z, hz = (np.abs(part) for part in (model.frequency_hz, model.damping_ratio, model.real_hz))
     room = np.concatenate([f, np.minimum(z, 1.0 - z), hz])
-    return min(_SHORTENED, _ROOM / float(np.max(np.abs(change[: len(room)]) / room)))
+    largest = float(np.max(np.abs(change[: len(room)]) / room))
+    return min(_SHORTENED, _ROOM / max(largest, _ROOM))
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:

@@ -215,7 +215,7 @@ def _wide_fits(curve: _Curve, peak: _Peak, others: Sequence[_Mode]) -> list[Wide
 
 
 def _with_law(curve: _Curve, peak: _Peak, mode: _Mode, wide: Sequence[WideFit]) -> tuple[_Mode, Resonance | None]:
-    """Return a mode by its law of damping, and the other law if that is undecided.
+    """Return a mode by its law of damping, and the other if undecided.
 
     Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
     distinguish them, with the phase of gain and chains left free.
