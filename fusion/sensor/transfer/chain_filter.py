@@ -97,7 +97,10 @@ def wide_fits(fitted: FitOfForm) -> list[WideFit]:
 
 
 def decided_law(wide: Sequence[WideFit]) -> DampingLaw | None:
-    """Return the law of damping by the simplest form that explains the lines, None if it does not decide."""
+    """Return the law of damping by the simplest form that explains the lines.
+
+    It is None if that form does not decide.
+    """
     for form in range(len(_FORMS)):
         fits = [one for one in wide if one.form == form]
         if any(one.is_explained for one in fits):
