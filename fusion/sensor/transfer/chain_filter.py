@@ -41,7 +41,7 @@ class WideFit:
     @property
     def is_explained(self) -> bool:
         """Whether its residuals are noise."""
-        return self.fit.chi_squared < max(_EXPLAINED, 1.0 + 5.0 * np.sqrt(2.0 / self.fit.dof)) * self.fit.dof
+        return self.excess < max(_EXPLAINED, 1.0 + 5.0 * float(np.sqrt(2.0 / self.fit.dof)))
 
     @property
     def excess(self) -> float:
