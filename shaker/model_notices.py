@@ -466,6 +466,15 @@ RELEASE_SHAPE_MISFIT = DeclaredNotice(
     remedy="Use another release device, or check the record for disturbances.",
     link="decoupling.md",
 )
+RELEASE_MODEL_REJECTED = DeclaredNotice(
+    "SC-925",
+    "warning",
+    "The records refute the model: its residual is up to {factor:.1f} times the noise at rest.",
+    effect="Poles, residues and cross-talk have no U. The load may have had another time course than those fitted, "
+    "or springs and dampers may not be linear.",
+    remedy="Compare releases of two sizes, use another release device, or check the records for disturbances.",
+    link="decoupling.md",
+)
 DURATION_AMBIGUOUS = DeclaredNotice(
     "SC-396",
     "warning",

@@ -46,6 +46,7 @@ from shaker.model_notices import (
     DURATION_UNLIKELY,
     FIT_NOT_CONVERGED,
     LAG_OR_RELEASE,
+    RELEASE_MODEL_REJECTED,
     RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SHAPE_MISFIT,
     RELEASE_SIZE_SCATTER,
@@ -63,6 +64,7 @@ _PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
 _LEAST_BLOCKS = 1200  # per record, if it has as many samples
 _MIN_DISTANCE = 2.0  # of different poles, in decay rates
 _REST = 1.5  # durations of a release before its middle, from which the record is at rest
+_AWAY = 8.0  # standard deviations of the noise from which an output is no longer at rest
 _NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
 _BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
@@ -123,6 +125,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         releases.append(ReleaseTiming(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
     noise = noise_with_steps(noise, converter_steps(records))
+    releases = _after_rest(records, releases, noise)
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
     candidate = add_first_lag(problem, start, tuple(releases))
@@ -146,7 +149,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     problem = replace(problem, records=tuple(weighted))
     fit = without_superfluous(problem, fit_poles(problem, fit.poles, fit.releases), most_modes)
     fit, likely = equally_likely(problem, fit, others)
-    return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
+    return multi_fit(records, problem, (fit, *likely), (noise, refined_noise), tuple(trials))
 
 
 def _devices(records: Sequence[StepRecord]) -> list[list[int]]:
@@ -165,6 +168,24 @@ def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> 
         count += rest.shape[1] - 1
     spans = np.max([np.ptp(record.samples, axis=1) for record in records], axis=0)
     return np.asarray(np.maximum(np.sqrt(sums / count), 1e-9 * spans.max()))
+
+
+def _after_rest(
+    records: Sequence[StepRecord], releases: Sequence[ReleaseTiming], noise: FloatArray
+) -> list[ReleaseTiming]:
+    """Return releases of which none is over while all outputs are still at rest.
+
+    A first estimate may be wrong by a period of the ringing. It is replaced by the usual duration from the end of rest.
+    """
+    usual_s, moved = float(np.median([one.duration_s for one in releases])), []
+    for record, release in zip(records, releases, strict=True):
+        begin_s = release.middle_s - 0.5 * release.duration_s
+        rest = record.samples[:, : max(8, int((begin_s - record.start_s) * record.sample_rate_hz))]
+        away = np.any(np.abs(record.samples - rest.mean(axis=1, keepdims=True)) > _AWAY * noise[:, None], axis=0)
+        end_s = record.start_s + float(np.argmax(away)) / record.sample_rate_hz
+        late = release.middle_s + usual_s < end_s
+        moved.append(replace(release, middle_s=end_s, duration_s=usual_s) if late else release)
+    return moved
 
 
 def _posed(
@@ -215,6 +236,8 @@ def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) 
 
 # Result of a fit, in the units of the records.
 
+REJECTED_FROM = 3.0
+"""Residual over the noise at rest, rms, from which the records refute the model."""
 _COLOURED = 2.0  # residual over the noise above which a notice is given
 _ABOVE, _LINES = 1.5, 40  # highest frequency over the highest mode at which models are compared, and the number
 _OTHER_LAG = 0.1  # relative difference of lags above which they are different
@@ -281,15 +304,16 @@ def multi_fit(
     records: Sequence[StepRecord],
     problem: StepProblem,
     fits: tuple[PoleFit, ...],
-    noise: FloatArray,
+    noises: tuple[FloatArray, FloatArray],
     trials: tuple[PoleCountTrial, ...],
 ) -> MultiFit:
     """Return the result of a fit in the units of the records.
 
     The first of `fits` is the result; the others are not rejected by the records and enter the covariance
-    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight.
+    (`shakercal._common.fitting`). `noises`: (C,) of a sample at rest, and that of the weights. A model that the records
+    refute has no uncertainties.
     """
-    fit, *others = fits
+    (fit, *others), (at_rest, noise) = fits, noises
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
     precision = lag_duration_prior(fit)
@@ -303,7 +327,8 @@ def multi_fit(
     shift = np.array([_difference(model, one) for one in alternatives]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
-    releases = _releases(problem, records, fit, spread + later.T @ later)
+    releases = _releases(problem, records, fit, (spread + later.T @ later, noise / at_rest))
+    rejected = _is_rejected(releases)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     for outputs, coefficients in zip(follows, point.coefficients, strict=True):
         for c, follow in enumerate(
@@ -317,7 +342,8 @@ def multi_fit(
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         rows = slice(model.shared + d * size, model.shared + (d + 1) * size)
         covariance[rows, rows] += share**2 * np.outer(model.vector[rows], model.vector[rows])
-    model = replace(model, covariance=covariance + shift.T @ shift)
+    covariance += shift.T @ shift
+    model = replace(model, covariance=np.full_like(covariance, np.nan) if rejected else covariance)
     data = [float(np.vdot(block.data, block.data)) + block.extra_squares for block in point.blocks]
     left = [
         float(np.vdot(rest, rest)) + block.extra_squares
@@ -377,9 +403,13 @@ def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
 
 
 def _releases(
-    problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, spread: FloatArray
+    problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, scales: tuple[FloatArray, FloatArray]
 ) -> tuple[ReleaseFit, ...]:
-    """Return the fitted release of every record, in the order of the records."""
+    """Return the fitted release of every record, in the order of the records.
+
+    `scales`: covariance of the parameters, and the weights over the noise at rest (C,).
+    """
+    spread, over = scales
     times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, TIMES).tolist()
     rests, results = dict(by_record(problem, fit)), []
     for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
@@ -398,10 +428,17 @@ def _releases(
                 shape=release.shape,
                 gain=float(np.vdot(data, fitted)) / power,
                 u_gain=1.0 / float(np.sqrt(power)),
-                misfit=np.asarray(np.std(rests[i], axis=0)),
+                misfit=np.asarray(np.std(rests[i], axis=0) * over),
             )
         )
     return tuple(results)
+
+
+def _is_rejected(releases: Sequence[ReleaseFit]) -> bool:
+    """Return whether an output departs from the model in every release of a load."""
+    loads = {one.component for one in releases}
+    least = [np.min([one.misfit for one in releases if one.component == load], axis=0) for load in loads]
+    return bool(np.max(least) > REJECTED_FROM)
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
@@ -435,6 +472,10 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
         chance = np.sqrt(np.mean([r.u_gain**2 for r in selected]))
         if spread > _SCATTERED * chance:
             notices.append(Notice(RELEASE_SIZE_SCATTER, component, count=len(selected), scatter_percent=100 * spread))
+    assert model.covariance is not None
+    if np.all(np.isnan(model.covariance)):
+        factor = float(max(release.misfit.max() for release in releases))
+        notices.append(Notice(RELEASE_MODEL_REJECTED, "model", factor=factor))
     for release in releases:
         worst = int(np.argmax(release.misfit))
         if release.misfit[worst] > _COLOURED:

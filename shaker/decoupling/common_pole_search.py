@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -24,6 +24,8 @@ _STAGES = (0.35, 0.5, 0.65)  # trial shares of the load in a first stage
 _STAGES_PRICE = 1.03  # a loss without stages that is lower by more than this is no chance of imperfectly white noise
 _EXPLAINED = 1.02  # mean square residual over the noise below which no further shape is tried
 _LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
+_HARDLY_RINGING = 0.15  # damping ratio from which a first mode is doubted
+_ALMOST_STEP = 0.1  # duration over the median of all below which that of a fit is doubted
 _SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
 _REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
 _HIGHEST_REAL = 0.45  # share of the sampling rate
@@ -73,18 +75,37 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
         offers.append((problem.point(lagged, times).loss, (lagged, tuple(times))))
 
     starts = []
-    for share in _LAGS:
-        hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
-        late_s, moved = 1.0 / (2.0 * np.pi * hz), []
-        for release in releases:
-            shorter = float(np.sqrt(max(1.0 - late_s**2 / release.moment_s2, _SHORTEST**2)))
-            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter * release.duration_s))
-        starts.append((poles.with_real(hz), moved))
+    for start in dict.fromkeys([poles, _ringing(poles)]):
+        for share in _LAGS:
+            hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
+            starts.append((start.with_real(hz), [*_lagged(releases, 1.0 / (2.0 * np.pi * hz))]))
     for shape in (None, *_SHAPES[-2:]):
         if min((loss for loss, _ in offers), default=np.inf) > _EXPLAINED * problem.values:
             for lagged, moved in starts:
                 offer(lagged, moved if shape is None else [release.in_shape(shape) for release in moved])
+            fit = fit_poles(problem, *min(offers[-len(starts) :], key=lambda pair: pair[0])[1], _FEW_STEPS, _ROUGH)
+            # A lag and the time constant of an exponential are easily exchanged, and a fit may end at a duration of 0.
+            for one in (fit, *_exchanged(problem, fit), *_without_steps(problem, fit)):
+                offers.append((one.loss, (one.poles, one.releases)))
     return min(offers, key=lambda pair: pair[0] * _price(pair[1][1][0].shape))[1]
+
+
+def _lagged(releases: Sequence[ReleaseTiming], late_s: float) -> Iterator[ReleaseTiming]:
+    """Yield releases that are earlier and shorter by a lag."""
+    for one in releases:
+        shorter = float(np.sqrt(max(1.0 - late_s**2 / one.moment_s2, _SHORTEST**2)))
+        yield replace(one, middle_s=one.middle_s - late_s, duration_s=shorter * one.duration_s)
+
+
+def _ringing(poles: Poles) -> Poles:
+    """Return poles without modes that hardly ring.
+
+    They may be a lag or a wrong release.
+    """
+    rings = poles.damping_ratio < _HARDLY_RINGING
+    if np.all(rings) or not np.any(rings):
+        return poles
+    return Poles(poles.frequency_hz[rings], poles.damping_ratio[rings], poles.real_hz)
 
 
 def _price(shape: ReleaseShape) -> float:
@@ -233,6 +254,15 @@ def _exchanged(problem: StepProblem, fit: PoleFit) -> list[PoleFit]:
     real_hz[lag] = 1.0 / (2.0 * np.pi * late_s)
     releases = [ReleaseTiming(one.middle_s + other_s - late_s, 2.0 * other_s, "exponential") for one in fit.releases]
     return [fit_poles(problem, replace(fit.poles, real_hz=real_hz), releases)]
+
+
+def _without_steps(problem: StepProblem, fit: PoleFit) -> list[PoleFit]:
+    """Return the fit without releases much shorter than most, none if there are none."""
+    usual_s = float(np.median([one.duration_s for one in fit.releases]))
+    releases = [
+        replace(one, duration_s=usual_s) if one.duration_s < _ALMOST_STEP * usual_s else one for one in fit.releases
+    ]
+    return [] if releases == list(fit.releases) else [fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)]
 
 
 def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:

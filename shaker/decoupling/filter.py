@@ -428,8 +428,8 @@ def crosstalks(
         peak = np.max(np.abs(readings), axis=0)
         moved = [readings + (reads(one) - readings) / share for share, one in zip(shares, near, strict=True)]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
-        value, u = shown @ response, _u(model, shown, frequency_hz)
-        stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
+        value, u, u_peak = shown @ response, _u(model, shown, frequency_hz), np.sqrt(spread) * _known(model)
+        stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(u_peak)))
     return tuple(stages)
 
 
@@ -437,7 +437,8 @@ def _share_within_range(model: MultiModel, change: FloatArray) -> float:
     """Return the share of a sampled change with which every pole still decays."""
     f, z, hz = (np.abs(part) for part in (model.frequency_hz, model.damping_ratio, model.real_hz))
     room = np.concatenate([f, np.minimum(z, 1.0 - z), hz])
-    return min(_SHORTENED, _ROOM / float(np.max(np.abs(change[: len(room)]) / room)))
+    largest = float(np.max(np.abs(change[: len(room)]) / room))
+    return min(_SHORTENED, _ROOM / max(largest, _ROOM))
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
@@ -458,11 +459,21 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
     for load in range(len(model.components)):
         slope, covariance = model.column_sensitivity(load, frequency_hz)
         columns.append(np.linalg.norm(shown @ slope @ _root(covariance), axis=2) / np.sqrt(2.0))
-    return np.stack(columns, axis=2)
+    return np.stack(columns, axis=2) * _known(model)
+
+
+def _known(model: MultiModel) -> float:
+    """Return 1, or NaN for a model without uncertainties because its records refute it."""
+    return 1.0 if np.all(np.isfinite(np.asarray(model.covariance))) else np.nan
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Return the Cholesky root of a mended covariance: unique, so that samples are reproducible."""
+    """Return the Cholesky root of a mended covariance: unique, so that samples are reproducible.
+
+    A model that its records refute has a root of zeros, and `_known` makes its uncertainties NaN.
+    """
+    if not np.all(np.isfinite(covariance)):
+        return np.zeros_like(covariance)
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -27,6 +27,7 @@ ResonanceKind = Literal["transmissibility", "receptance", "mobility", "acceleran
 DampingLaw = Literal["viscous", "loss factor"]
 
 _OSCILLATOR_PARAMETERS = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
+_FILTER_PARAMETERS = ("loss_s2", "dispersion_s3")
 _RESIDUAL_PARAMETERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
 _POWER_OF_S: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
 _LM_OPTIONS = LMOptions(
@@ -38,12 +39,13 @@ _WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their
 
 
 @dataclass(frozen=True, repr=False)
-class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P"):
+class Resonance(Arrays, shapes="residual_terms 2; filter_terms 2; parameters P; covariance P P"):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual_terms` (2,)
-    complex: contribution of all other modes, mass line R₋/s² and constant R₊. Delay and residual terms are zero if they
-    were not fitted. `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is
+    complex: contribution of all other modes, mass line R₋/s² and constant R₊. `filter_terms` (2,): factors of s² and
+    s³ in the logarithm of a filter, in s² and s³. Delay, residual and filter terms are zero if they were not fitted.
+    `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is
     enlarged by χ²/dof if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by
     ν/(ν - 2) for ν degrees of freedom. Its mean is `dof` for noise alone. `law`: of a loss factor η = 2ζ.
     """
@@ -59,14 +61,16 @@ class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P")
     chi_squared: float
     dof: float
     law: DampingLaw = "viscous"
+    filter_terms: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
         """Return H(s) (K,) at s = a + jω, with the added decay a."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
+        vector += self.filter_terms.tolist()
         vector += [part for term in self.residual_terms for part in (term.real, term.imag)]
         return _evaluate(
             _Shape(self.kind, self.law),
-            (*_OSCILLATOR_PARAMETERS, "delay_s", *_RESIDUAL_PARAMETERS),
+            (*_OSCILLATOR_PARAMETERS, "delay_s", *_FILTER_PARAMETERS, *_RESIDUAL_PARAMETERS),
             laplace(frequency_hz, added_decay_per_s),
             np.array(vector),
         )[0]
@@ -102,6 +106,7 @@ def fit_resonance(
     kind: ResonanceKind,
     *,
     delay: bool = False,
+    unstated_filter: bool = False,
     residual_terms: bool = False,
     law: DampingLaw = "viscous",
 ) -> Resonance:
@@ -115,6 +120,8 @@ def fit_resonance(
         "transmissibility", "receptance", "mobility" or "accelerance"
     delay
         fit a factor exp(-sτ), default False
+    unstated_filter
+        fit a factor exp(-sτ + Ls² + Ds³), any stable filter well above the band, default False
     residual_terms
         fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
     law
@@ -146,7 +153,8 @@ def fit_resonance(
     """
     names = (
         *_OSCILLATOR_PARAMETERS,
-        *(("delay_s",) if delay else ()),
+        *(("delay_s",) if delay or unstated_filter else ()),
+        *(_FILTER_PARAMETERS if unstated_filter else ()),
         *(_RESIDUAL_PARAMETERS if residual_terms else ()),
     )
     if 2 * len(curve.frequency_hz) <= len(names):
@@ -172,6 +180,7 @@ def fit_resonance(
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
         law=law,
+        filter_terms=np.array([fitted.get(name, 0.0) for name in _FILTER_PARAMETERS]),
     )
 
 
@@ -187,7 +196,8 @@ def _evaluate(
     damper = p if form.law == "viscous" else np.full_like(p, 1j)
     pole = 1.0 + 2.0 * zeta * damper + p * p
     shape = (1.0 + base_excited * 2.0 * zeta * damper) / pole
-    before = s**form.power * np.exp(-s * delay)
+    loss, dispersion = (fitted.get(name, 0.0) for name in _FILTER_PARAMETERS)
+    before = s**form.power * np.exp(-s * delay + s**2 * loss + s**3 * dispersion)
     by_p = (base_excited * viscous * 2.0 * zeta - shape * (viscous * 2.0 * zeta + 2.0 * p)) / pole
     columns = {
         "frequency_hz": before * gain * by_p * (-p / fitted["frequency_hz"]),
@@ -201,7 +211,7 @@ def _evaluate(
         value = value + complex(fitted.get(f"{name}_re", 0.0), fitted.get(f"{name}_im", 0.0)) * columns[name]
     for name in ("gain", "mass_line", "constant"):
         columns[f"{name}_re"], columns[f"{name}_im"] = columns[name], 1j * columns[name]
-    columns["delay_s"] = -s * value
+    columns |= {"delay_s": -s * value, "loss_s2": s**2 * value, "dispersion_s3": s**3 * value}
     return np.asarray(value), np.stack([columns[name] for name in names], axis=1)
 
 

@@ -22,7 +22,8 @@ MOST_POSES = 1000  # beyond which neighbouring ones are averaged
 MIN_DRIFT_POSES = 12  # from which a linear drift is always fitted
 CHANCE = 1e-3  # of a false term
 SAME_SCATTER = 0.05  # chance below which the scatter of poses exceeds that of repeated readings
-LOOP_OF_STEPS = 2.0  # a loop over the difference after a rise and after a fall, by steps of half its length
+PLAY = 0.5  # half width of a play element over the largest output
+LOOP_OF_STEPS = 1.5  # a loop over that of one play element: of elements of other widths some are not run through
 PRECISION = 1e-12  # relative, of computed numbers
 UNKNOWN_TILT_RAD = 0.1
 
@@ -373,10 +374,15 @@ class _Solution:
     def loop(self) -> FloatArray:
         """Return the square (C,) of the loop, and its variance.
 
-        By the difference between readings after a rise and after a fall.
+        By the readings against a play element, which knows how far the output last rose or fell.
         """
         gravity = self.problem.design[:, : len(self.problem.basis)] @ self.fit.coefficient[: len(self.problem.basis)]
-        sense = 0.5 * np.vstack([np.zeros((1, gravity.shape[1])), np.sign(np.diff(gravity, axis=0))])
+        radius = np.maximum(PLAY * np.max(np.abs(gravity), axis=0), np.finfo(np.float64).tiny)
+        held, behind = gravity[0], np.zeros_like(gravity)
+        for row, value in zip(behind, gravity, strict=True):
+            held = np.clip(held, value - radius, value + radius)
+            row[:] = value - held
+        sense = 0.5 * behind / radius
         columns = self.white_left(sense)
         size = np.sum(columns**2, axis=0)
         inverse = np.divide(LOOP_OF_STEPS**2, size, out=np.zeros(len(size)), where=size > 0.0)

@@ -136,6 +136,12 @@ def test_records_without_rest_are_named_with_their_file(recording: Path, capsys:
     assert "sweep-2.h5" in refused("transfer", recording, "--estimator", "rest")
 
 
+def test_a_damaged_repeat_is_named_by_its_key(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damaged = recording / "sweep-3.h5"
+    damaged.write_bytes(damaged.read_bytes()[:3000])
+    assert "daq.daq.repeats: sweep-3.h5" in refusals(capsys)("transfer", recording)
+
+
 def test_repeats_that_do_not_fit_are_refused(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused, manifest = refusals(capsys), recording / "recording.toml"
     write_daq(recording / "sweep-3.h5", 8000.0, dict.fromkeys(("force", "top"), simulate(sweep)[0]))

@@ -151,7 +151,7 @@ def test_every_peak_of_a_curve_is_a_separate_resonance(simulated, tmp_path):
         value=value + (noise[0] + 1j * noise[1])[:, None],
         covariance=np.tile(1e-6 * np.eye(2), (len(frequency), 1, 1)),
     )
-    found, notices = find_resonances(replace(result.transfer, ratio=ratio), (), ["transmissibility"], 0.0)
+    found, _, notices = find_resonances(replace(result.transfer, ratio=ratio), (), ["transmissibility"], 0.0)
     assert [round(one.fit.frequency_hz) for one in found] == [f for f, _ in true]
     for one, (f, z) in zip(found, true, strict=True):
         assert abs(one.fit.frequency_hz - f) < 5.0 * one.u_frequency_hz

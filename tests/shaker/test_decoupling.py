@@ -25,6 +25,7 @@ from shaker.model_notices import (
     DURATION_AMBIGUOUS,
     DURATION_UNLIKELY,
     MODEL_MISFIT,
+    RELEASE_MODEL_REJECTED,
     RELEASE_SHAPE_AMBIGUOUS,
     RELEASE_SIZE_SCATTER,
     RELEASE_TOO_SLOW,
@@ -395,6 +396,20 @@ def test_other_shapes_of_releases_are_no_modes_of_the_sensor(times, shares, shap
     assert {release.shape for release in found.releases} == {shape}
     assert len(found.model.real_hz) == 1
     assert np.sqrt(np.mean(_scores(found.model) ** 2)) < 1.6
+
+
+def test_a_model_that_the_releases_refute_has_no_uncertainties():
+    bent = []
+    for record in _released_along(np.array([0.0, 1.0]), np.array([0.0, 1.0]), 1e-4):
+        size = np.ptp(record.samples, axis=1, keepdims=True)
+        bent.append(replace(record, samples=record.samples + 0.02 * size * np.sin(record.samples / size * 40.0)))
+    found = fit_steps(bent, most_modes=3)
+    assert RELEASE_MODEL_REJECTED.code in {notice.code for notice in found.notices}
+    assert np.all(np.isnan(found.model.covariance))
+    recorded = SignalLevels(found.sample_rate_hz, found.noise, found.amplitude)
+    decoupler = design_decoupling(found.model, DecouplingTarget(np.full(3, 300.0), np.full(3, 0.6)), recorded)
+    stages = crosstalks(found.model, decoupler, found.noise, np.array([100.0]), np.random.default_rng(1), 2)
+    assert all(np.all(np.isnan(stage.u)) and np.all(np.isfinite(stage.peak)) for stage in stages)
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ def test_repeats_that_differ_are_named_and_their_scatter_is_in_the_uncertainty()
     shifted = [[(f * (1.0 + change), zeta, a) for f, zeta, a in MODES] for change in (-moves, 0.0, moves)]
     found = transfer_from_rest(noisy(clean_sweeps([1.0] * 3, shifted), 1), band_hz=BAND_HZ)
     assert REPEATS_DIFFER.code in codes(found)
-    resonances, _ = find_resonances(found, repeat_errors(found), ["accelerance"], 0.0)
+    resonances, _, _ = find_resonances(found, repeat_errors(found), ["accelerance"], 0.0)
     for mode, (f, *_) in zip(resonances, MODES, strict=True):
         of_mean = f * moves / np.sqrt(3.0)  # of three values, with two degrees of freedom: 2.2 times larger for 95 %
         assert 1.5 * of_mean < mode.u_frequency_hz < 3.0 * of_mean

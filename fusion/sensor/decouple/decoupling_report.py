@@ -151,7 +151,7 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
     for stage in evaluation.stages:
         size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
         if np.any(np.isfinite(ratio)):
-            i, j = np.unravel_index(np.nanargmax(size + U), ratio.shape)
+            i, j = np.unravel_index(np.nanargmax(size + np.nan_to_num(U)), ratio.shape)
             which = f"{stage.components[i]} while {stage.components[j]} steps"
             yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}", float(size[i, j]), float(U[i, j]), which
 

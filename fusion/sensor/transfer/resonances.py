@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from fusion.errors import ARGUMENT
 from fusion.sensor import response_notices as declared
+from fusion.sensor.transfer.chain_filter import (
+    UNSTATED_FILTER,
+    FoundFilter,
+    WideFit,
+    decided_law,
+    unstated_filter,
+    wide_fits,
+)
 from fusion.sensor.transfer.transfer_records import FoundResonance
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.frf.result import TransferFunction
@@ -36,20 +44,14 @@ FIRST_ORDER = 1.3
 """Factor of changes with the amplitude, which are estimated to first order and from the lines of a peak."""
 AMPLITUDE = "change with the amplitude"
 """Cause in the budget."""
-LAWS: tuple[DampingLaw, DampingLaw] = ("viscous", "loss factor")
-"""The laws of damping that are compared."""
 _NEGLIGIBLE = 0.2  # standard uncertainties by which both laws may differ in f₀ without a decision
-_EXPLAINED = 1.2  # χ² per degree of freedom up to which a law explains the lines up to the valleys
-_DELAY = re.compile(r": delay$|^clock ")  # names of errors that delay a channel
-_LONGER = 3.0  # standard uncertainties from which a delay is not the stated one
-_DECISIVE = 6.0  # difference of χ² that decides, a likelihood ratio of 20
 
 
 @dataclass(frozen=True)
 class _Curve:
     """One response over its reference: values (K,), noise covariance, and common errors.
 
-    `base` (K,): acceleration of a base with periodic motion.
+    `base` (K,): acceleration of a base with periodic motion. `factor` (K,): of a filter that is not stated.
     """
 
     name: str
@@ -59,19 +61,23 @@ class _Curve:
     errors: dict[str, ComplexArray]
     kind: ResonanceKind
     base: ComplexArray | None = None
+    factor: ComplexArray | None = None
+
+    @property
+    def causes(self) -> list[CurveError]:
+        """Return the common errors (K,)."""
+        return [CurveError(name, relative) for name, relative in self.errors.items()]
 
     def fit(
         self,
         lines: slice,
         value: ComplexArray,
         *,
-        residual_terms: bool = False,
-        delay: bool = False,
         law: DampingLaw = "viscous",
+        **terms: bool,
     ) -> Resonance:
-        """Fit one oscillator to values (L,) at some lines."""
-        curve = self.measured(lines, value)
-        return fit_resonance(curve, self.kind, residual_terms=residual_terms, delay=delay, law=law)
+        """Fit one oscillator to values (L,) at some lines; `terms` of `fit_resonance` in addition."""
+        return fit_resonance(self.measured(lines, value), self.kind, law=law, **terms)
 
     def measured(self, lines: slice, value: ComplexArray) -> MeasuredCurve:
         """Return values (L,) at some lines with their noise."""
@@ -99,8 +105,8 @@ def find_resonances(
     u_clock: float,
     influences: ModelInfluences = NO_INFLUENCES,
     base: ComplexArray | None = None,
-) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
-    """Return the resonances of every response, and notices of peaks without a fitted oscillator.
+) -> tuple[tuple[FoundResonance, ...], tuple[CurveError, ...], tuple[Notice, ...]]:
+    """Return the resonances of every response, errors of curves by unstated filters, and notices.
 
     `transfer` has the covariance of its noise only. `kinds` (C): form of an oscillator in each response. `u_clock`:
     relative standard uncertainty of the clock, and so of every frequency. `influences`: influences on a resonance that
@@ -108,6 +114,7 @@ def find_resonances(
     """
     found: list[FoundResonance] = []
     notices: list[Notice] = []
+    filters: list[CurveError] = []
     for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
         of_channel = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
         curve = _Curve(
@@ -122,18 +129,19 @@ def find_resonances(
                 notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
                 continue
             others = [one for one in (*modes[:index], *modes[index + 1 :]) if isinstance(one, _Mode)]
-            best, other, wide = _with_law(curve, peak, mode, others)
+            wide = _wide_fits(curve, peak, others)
+            best, other = _with_law(curve, peak, mode, wide)
+            seen = _unstated_filter(curve, wide) if len(peaks) == 1 else None
+            if seen is not None:
+                curve = replace(curve, factor=seen.factor)
+                acts = np.array([float(channel == name) for channel in transfer.ratio.channels])
+                error = np.multiply.outer(seen.error(curve.causes), acts)
+                filters.append(CurveError(f"{UNSTATED_FILTER}, {name}", error))
+                notices.append(_filter_notice(curve, seen, where))
             one = _with_budget(curve, peak.lines, best, other, u_clock, influences)
             found.append(one)
             notices += _mode_notices(one, other, where)
-            late = _late(curve, wide) if len(peaks) == 1 else None
-            if late is not None:
-                values = {"lag_us": 1e6 * late, "change_percent": 0.0, "frequency_hz": frequency_hz}
-                effect = "The lines of the curve are turned by it, beyond their U."
-                notices.append(
-                    Notice(declared.UNSTATED_FILTER_FOUND, where, channel=name, **values, consequence=effect)
-                )
-    return tuple(found), tuple(notices)
+    return tuple(found), tuple(filters), tuple(notices)
 
 
 def _mode_notices(found: FoundResonance, other: Resonance | None, where: str) -> Iterator[Notice]:
@@ -201,50 +209,43 @@ def _without(curve: _Curve, lines: slice, others: Sequence[_Mode]) -> ComplexArr
     return value
 
 
-def _with_law(
-    curve: _Curve, peak: _Peak, mode: _Mode, others: Sequence[_Mode]
-) -> tuple[_Mode, Resonance | None, Resonance | None]:
-    """Return a mode by its law of damping, the other law, and a wide fit.
+def _wide_fits(curve: _Curve, peak: _Peak, others: Sequence[_Mode]) -> list[WideFit]:
+    """Return the fits of one oscillator from valley to valley, without the others."""
+    return wide_fits(partial(curve.fit, peak.wide, _without(curve, peak.wide, others)))
+
+
+def _with_law(curve: _Curve, peak: _Peak, mode: _Mode, wide: Sequence[WideFit]) -> tuple[_Mode, Resonance | None]:
+    """Return a mode by its law of damping, and the other if undecided.
 
     Viscous damping and a loss factor give the same peak; f₀ then differs by the share ζ². The lines up to the valleys
-    distinguish them, with the phase of gain and delay left free.
+    distinguish them, with the phase of gain and chains left free.
     """
     residual_terms = "constant_re" in mode.fit.parameters
     try:
         other = curve.fit(peak.lines, mode.value, residual_terms=residual_terms, law="loss factor")
-        wide, is_decided = _wide_fit(curve, peak.wide, _without(curve, peak.wide, others))
     except (ValueError, np.linalg.LinAlgError):
-        return mode, None, None
+        return mode, None
     if mode.fit.damping_ratio**2 * mode.fit.frequency_hz < _NEGLIGIBLE * mode.fit.u("frequency_hz"):
-        return mode, None, wide
-    if is_decided and wide is not None and wide.law == "loss factor":
-        return replace(mode, fit=other), None, wide
-    return mode, None if is_decided else other, wide
+        return mode, None
+    law = decided_law(wide)
+    return (replace(mode, fit=other), None) if law == "loss factor" else (mode, other if law is None else None)
 
 
-def _wide_fit(curve: _Curve, lines: slice, value: ComplexArray) -> tuple[Resonance | None, bool]:
-    """Return the oscillator that explains values (L,), and whether it decides the law."""
-    for residual_terms in (False, True):
-        fits = [curve.fit(lines, value, residual_terms=residual_terms, delay=True, law=law) for law in LAWS]
-        left = np.array([fit.chi_squared for fit in fits])
-        best = fits[int(np.argmin(left))]
-        if best.chi_squared < max(_EXPLAINED, 1.0 + 5.0 * np.sqrt(2.0 / best.dof)) * best.dof:
-            return best, float(np.ptp(left)) > _DECISIVE
-    return None, False
+def _unstated_filter(curve: _Curve, wide: Sequence[WideFit]) -> FoundFilter | None:
+    """Return what a chain does that nobody states."""
+    names = f"{curve.name} or {curve.transfer.reference}"
+    return unstated_filter(wide, curve.transfer.ratio.frequency_hz, curve.causes, names)
 
 
-def _late(curve: _Curve, wide: Resonance | None) -> float | None:
-    """Return the delay of a response in s if it is longer than stated.
-
-    Below its resonance a load follows its base, so that the delay of both chains remains. Errors of delay and clock are
-    the stated ones.
-    """
-    if wide is None or curve.kind != "transmissibility":
-        return None
-    turn = 2.0 * np.pi * curve.transfer.ratio.frequency_hz
-    stated = [np.max(np.abs(error.imag) / turn) for name, error in curve.errors.items() if _DELAY.search(name)]
-    limit = _LONGER * float(np.linalg.norm([wide.u("delay_s"), *stated]))
-    return wide.delay_s if abs(wide.delay_s) > limit else None
+def _filter_notice(curve: _Curve, seen: FoundFilter, where: str) -> Notice:
+    """Return the notice of an unstated filter, or of models that the data leave open."""
+    if seen.rivals:
+        return Notice(declared.MODELS_UNDECIDED, where, models="; ".join(seen.rivals))
+    highest_hz = float(curve.transfer.ratio.frequency_hz[-1])
+    values = {"lag_us": 1e6 * seen.lag_s, "change_percent": 100.0 * seen.change, "frequency_hz": highest_hz}
+    effect = "It is not corrected. U of the curve and of its resonance includes it."
+    channel = f"{curve.name} or {curve.transfer.reference}"
+    return Notice(declared.UNSTATED_FILTER_FOUND, where, channel=channel, **values, consequence=effect)
 
 
 def _peaks(curve: _Curve) -> list[_Peak]:
@@ -310,10 +311,14 @@ def _with_budget(
         off = mode.value * (1.0 + relative[lines])
         moved = curve.fit(lines, off, residual_terms=residual_terms, law=fit.law)
         budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
-    if other is not None:
-        budget[LAW_OF_DAMPING] = (
-            added_uncertainty(fit.frequency_hz, u_noise[0], other.frequency_hz, other.u("frequency_hz")),
-            added_uncertainty(fit.damping_ratio, u_noise[1], other.damping_ratio, other.u("damping_ratio")),
+    rivals = {} if other is None else {LAW_OF_DAMPING: other}
+    if curve.factor is not None:
+        off = mode.value / curve.factor[lines]
+        rivals[UNSTATED_FILTER] = curve.fit(lines, off, residual_terms=residual_terms, law=fit.law)
+    for name, rival in rivals.items():
+        budget[name] = (
+            added_uncertainty(fit.frequency_hz, u_noise[0], rival.frequency_hz, rival.u("frequency_hz")),
+            added_uncertainty(fit.damping_ratio, u_noise[1], rival.damping_ratio, rival.u("damping_ratio")),
         )
     if amplitude is not None:
         at_rest = (

@@ -108,12 +108,12 @@ def _evaluated(
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
     influences = stated_influences(manifest.rig, [manifest.mounting])
     base = _base_acceleration(manifest, together, raw) if moved else None
-    resonances, peak_notices = find_resonances(
+    resonances, filters, peak_notices = find_resonances(
         corrected, (*errors, *repeats), kinds, together.u_clock, influences, base
     )
     ratio = corrected.ratio
-    if errors:
-        common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
+    if errors or filters:
+        common = common_covariance(ratio.value, np.stack([error.relative for error in (*errors, *filters)]))
         ratio = replace(ratio, covariance=ratio.covariance + common)
     result = ReferenceResult(
         name=reference.entry.name,

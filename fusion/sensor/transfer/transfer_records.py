@@ -290,17 +290,24 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     selected = [by_name[name][0] for name in named]
     first, *further = (
         [_together(part, records, [by_name[name][0], *selected]) for name in excitation.reference]
-        for part, records in ((part, read_daqs(part)) for part in _repeats(manifest))
+        for part, records in _read(manifest)
     )
     return tuple(_joined(together, repeats) for together, *repeats in zip(first, *further, strict=True))
 
 
-def _repeats(manifest: Manifest) -> Iterator[Manifest]:
-    """Yield the manifest, and again with the files of every repeat."""
-    yield manifest
+def _read(manifest: Manifest) -> Iterator[tuple[Manifest, Sequence[DaqRecord]]]:
+    """Yield the manifest with its records, and again with those of every repeat."""
+    yield manifest, read_daqs(manifest)
     for number in range(len(manifest.daq[0].further_files)):
         daq = tuple(daq.model_copy(update={"file": daq.further_files[number]}) for daq in manifest.daq)
-        yield replace(manifest, daq=daq)
+        part = replace(manifest, daq=daq)
+        try:
+            yield part, read_daqs(part)
+        except InputError as error:
+            block, _, key = error.key.rpartition(".")
+            if key != "file":
+                raise
+            raise error.at(f"{block}.repeats") from error
 
 
 def _joined(together: SynchronousRecord, repeats: Sequence[SynchronousRecord]) -> SynchronousRecord:
