@@ -229,7 +229,7 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
     sizes = every[np.isfinite(every) & (every > 0.0)]
     high = float(sizes.max()) if sizes.size else 1.0
     low = max(float(sizes.min()), 1e-3 * high) if sizes.size else 0.1
-    label = "share of the rated output / %, or upper bound"
+    label = "share of the rated output / %"
     scale = Scale("Blues", low, high if high > low else 10.0 * low, label, log=True)
     drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, columns, shared_x=False)
     for panel, found in zip(drawn.panels, maps, strict=False):
@@ -238,7 +238,7 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
         panel.blank = True
     caption = (
         "Cross-talk S_ij·capacity_j / (S_ii·capacity_i) in per cent: output i under the rated load j, as a share "
-        "of its rated output. “<”: 95 % upper bound of an element not distinguishable from zero. 100: main elements."
+        "of its rated output. 100: main elements. “<”: 95 % upper bound of an element not distinguishable from zero."
     )
     return drawn.with_title("Cross-talk", caption, main=True)
 
@@ -341,7 +341,8 @@ def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
     i, j = (cell.ravel() for cell in np.indices(shown.shape))
     names = [f"output {found.channels[a]} under {found.components[b]}" for a, b in zip(i, j, strict=True)]
     ends = (j - 0.48, j + 0.48), (i - 0.48, i + 0.48)
-    panel.boxes(*ends, values=shown.ravel(), scale=scale, names=tuple(names))
+    coloured = np.where(found.holds_zero, np.nan, shown)
+    panel.boxes(*ends, values=coloured.ravel(), scale=scale, names=tuple(names))
     span = np.log(scale.high / scale.low)
     for cell in np.ndindex(shown.shape):
         size, dark = float(shown[cell]), False
@@ -349,7 +350,8 @@ def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
         if np.isfinite(size):
             digits = small(size).removeprefix("< ")
             text = f"< {digits}" if found.holds_zero[cell] else digits
-            dark = bool(np.log(max(size, scale.low) / scale.low) > DARK_ABOVE * span)
+            log_size = np.log(max(size, scale.low) / scale.low)
+            dark = bool(log_size > DARK_ABOVE * span and not found.holds_zero[cell])
         panel.text(cell[1], cell[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
     panel.x.names, panel.y.names = tuple(found.components), tuple(found.channels)
     panel.x.grid = panel.y.grid = False

@@ -35,8 +35,8 @@ NO_JOINT_RESULT = DeclaredNotice(
 UNCERTAINTY_JUMP = DeclaredNotice(
     "SC-949",
     "warning",
-    "U of the sensitivity to {component} at {frequency_hz:.6g} Hz is {factor:.2g} times that of its neighbours: "
-    "{U_percent:.2g} %, of whose variance {share_percent:.0f} % comes from {influence}.",
+    "U of this recording's sensitivity to {component} at {frequency_hz:.6g} Hz is {U_percent:.2g} %, {factor:.2g} "
+    "times that at neighbouring frequencies; {share_percent:.0f} % of its variance comes from {influence}.",
     effect="The recording is included; its small weight in the curve follows from its U.",
     remedy="Compare this recording with its neighbours, correct the cause, or record it again.",
     link="campaigns.md",

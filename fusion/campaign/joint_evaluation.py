@@ -299,19 +299,23 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
             judged = verdict(first.relative)
             remark += f"; {judged.partition(':')[0] if many else judged}"
         name = result_name(first.kind, first.channel, first.component, main=True)
-        name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
-        label = f"{name}, {first.frequency_hz:.4f} Hz"
+        name = (
+            capitalise(name)
+            if first.kind == "ratio"
+            else f"Sensitivity, output {first.channel} per load {first.component}"
+        )
+        label = f"{name}, {first.frequency_hz:.1f} Hz"
         size = quantity_text(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
         if many or len(best) < 2:
             continue
         if last.relative is not None:
-            label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
+            label = f"Deviation from static at {last.frequency_hz:.1f} Hz"
             remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
             found.append(Headline(label, deviation(last.relative), remark))
         turn = quantity_text(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
-        remark = f"{last.channel} to {last.component}, {last.kind}"
-        found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
+        remark = f"output {last.channel} relative to load {last.component}"
+        found.append(Headline(f"Phase at {last.frequency_hz:.1f} Hz", turn, remark))
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
 
 
@@ -373,9 +377,9 @@ def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
         for values in ([found.between for found in repeated], [found.within for found in repeated])
     ]
     remark = (
-        f"a recording: {small(100.0 * sizes[1])} %; rms of {len(repeated)} excitations, beyond stated uncertainties"
+        f"between recordings {small(100.0 * sizes[1])} %; rms of {len(repeated)} frequencies, in addition to stated u"
     )
-    return [Headline("New mounting, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
+    return [Headline("Scatter between mountings", f"{small(100.0 * sizes[0])} %", remark)]
 
 
 def largest_crosstalk(evaluation: CampaignEvaluation) -> tuple[CrossTalk, int, int] | None:
@@ -397,5 +401,5 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
         return []
     found, c, j = best
     size = quantity_text(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
-    where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
+    where = f"output {found.channels[c]} under load {found.components[j]}, {found.frequency_hz:.1f} Hz"
     return [Headline("Largest significant cross-talk", size, where)]

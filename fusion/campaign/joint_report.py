@@ -410,6 +410,21 @@ def _crosstalk_table(found: CrossTalk) -> Table:
 # report.html of a campaign: one self-contained page with its joint results.
 
 
+def _heading(evaluation: CampaignEvaluation, best: Sequence[Sequence[CurvePoint]]) -> str:
+    """Return what a campaign measured, empty without a result."""
+    if evaluation.matrices:
+        channels, count = len(evaluation.matrices[0].channels), len(evaluation.matrices)
+        return f"{channels} × 6 matrix of sensitivities at {_frequencies(count)}"
+    if not best:
+        return ""
+    loads = ", ".join(points[0].component for points in best)
+    return f"Sensitivity to {loads} at {_frequencies(max(map(len, best)))}"
+
+
+def _frequencies(count: int) -> str:
+    return "1 frequency" if count == 1 else f"{count} frequencies"
+
+
 def render_campaign(evaluation: CampaignEvaluation) -> str:
     """Return the HTML text of the page.
 
@@ -437,6 +452,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {
         "name": evaluation.name,
+        "heading": _heading(evaluation, best),
         "simulated": any(entry.simulated for entry in evaluation.recorded),
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),

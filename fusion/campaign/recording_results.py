@@ -85,9 +85,9 @@ class RecordingResults:
     notices: tuple[Notice, ...]
     origin: Provenance
     date: Date | None = None
-    simulated: bool = False
     evidence: tuple[InputEvidence, ...] = ()
     knowledge: Callable[[], Knowledge] | None = None
+    simulated: bool = False
 
     @property
     def joint_notices(self) -> tuple[Notice, ...]:

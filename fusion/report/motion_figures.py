@@ -512,8 +512,8 @@ class TrackedSurface:
             sizes[0] > SIGNIFICANT_RATIO * sizes[1],
             "drawn by its shapes" if self._bends(line) else "not drawn",
         )
-        end = f"of which noise {noise}" if above else f"not above noise ({noise}), {drawn}"
-        return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
+        end = f"of which noise {noise}" if above else f"no more than their noise ({noise}); {drawn}"
+        return f"points of {self.name} deviate from the rigid motion by {size} (rms), {end}"
 
 
 def tracked_surface(item: StereoResult) -> Iterator[TrackedSurface]:

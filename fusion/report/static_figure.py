@@ -67,8 +67,8 @@ def static_svg(figure: Figure) -> str:
     entries = dict[str, Mark]()
     for panel in figure.panels:
         for mark in panel.marks:
-            if mark.label:
-                entries.setdefault(mark.label, mark)
+            if mark.label and (isinstance(mark, Points) or not isinstance(entries.get(mark.label), Points)):
+                entries[mark.label] = mark if isinstance(mark, Points) else entries.get(mark.label, mark)
     legend, legend_pt = _legend(entries, figure.width_in)
     parts = [f'<rect width="100%" height="100%" fill="#fff"/>{legend}']
     columns, upright = len(figure.widths), has_upright_names(figure)

@@ -358,11 +358,13 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     relative = _over_static(evaluation, found, line, (channel, component))
     remark = _relative(element) + ("" if relative is None else f"; {verdict(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
-    label = f"Sensitivity {name}" if found.kind[line] == "element" else capitalise(name)
+    load = LOAD_COMPONENTS[component]
+    of_sensor = f"Sensitivity, output {found.channels[channel]} per load {load}"
+    label = of_sensor if found.kind[line] == "element" else capitalise(name)
     size = quantity_text(element.magnitude, element.expanded_magnitude, unit)
     turn = quantity_text(element.phase_rad, element.expanded_phase_rad, "rad")
     degrees = quantity_text(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°")
-    label = f"{label}, {found.frequency_hz[line]:.4f} Hz"
+    label = f"{label}, {found.frequency_hz[line]:.1f} Hz"
     return [Headline(label, size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
 

@@ -178,12 +178,12 @@ def describe_records(mountings: Sequence[str]) -> str:
     """Return the use that U of a model covers, by the mountings of its releases.
 
     >>> describe_records(["1", "1", "1"])
-    'within these 3 releases of one mounting'
+    'for these 3 releases in one mounting'
     """
     count, different = len(mountings), len(set(mountings))
     if count == 1:
         return "within this record of one release"
-    return f"within these {count} releases of {'one mounting' if different == 1 else f'{different} mountings'}"
+    return f"for these {count} releases in {'one mounting' if different == 1 else f'{different} mountings'}"
 
 
 def coverage_notice(scope: str, outside: str, where: str) -> Notice:

@@ -213,7 +213,7 @@ def test_correlations_are_sorted_and_none_without_uncertainty(calibration: Calib
 def test_page_says_what_was_found_and_is_well_formed_and_self_contained(calibration: Calibration) -> None:
     page = render_camera_report(calibration, "top", PROVENANCE, 12.3)
     found = self_contained(page)
-    assert page.count("<figure") == 10
+    assert page.count("<figure") == 11
     figures = [address for address in found.addresses if not address.startswith("#")]
     assert all(address.startswith("data:image/svg+xml,%3Csvg") for address in figures)
     assert len(page.encode()) < 6_000_000
@@ -300,7 +300,7 @@ def test_flat_target_missing_pictures_and_odd_names_still_have_a_page() -> None:
     assert html.escape("$x_1$ & \\co-02.tif") in page
     assert "<h1>&lt;b&gt;top&lt;/b&gt;</h1>" in page
     text = "".join(outline(page).text)
-    assert page.count("<figure") == 9
+    assert page.count("<figure") == 10
     assert camera_headlines(bare)[1].value == "2 pairs in 6 views"
     assert "Notices" not in text
     assert "nan" not in text.lower()

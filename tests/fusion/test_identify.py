@@ -204,7 +204,7 @@ def test_files_contain_the_results(results, component):
         assert any(name.endswith("result.h5") for name in file["provenance/input_file"].asstr()[()])
     page = (results / "identify.html").read_text(encoding="utf-8")
     self_contained(page)
-    assert page.count("<figure") == 5
+    assert page.count("<figure") == 7
     for part in ("Nyquist circles", "half-amplitude width", "Correlation", "Budget"):
         assert part in page
 

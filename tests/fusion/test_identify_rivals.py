@@ -142,7 +142,7 @@ def test_a_refuted_model_has_values_without_u(tmp_path, capsys):
     printed = capsys.readouterr()
     assert raised.MODEL_REJECTED.code in printed.err
     assert "refuted by the data" in printed.out
-    assert "±" not in printed.out
+    assert " ± " not in printed.out
     parameters = rows(out / "parameters.csv")
     assert {row["u"] for row in parameters} == {row["U"] for row in parameters} == {""}
     assert all(row["value"] for row in parameters)

@@ -361,7 +361,7 @@
     list.className = "legend";
     list.setAttribute("aria-label", "Legend");
     const first = new Map();
-    figure.panels.forEach((panel) => panel.marks.forEach((mark) => mark.label && !first.has(mark.label) && first.set(mark.label, mark)));
+    figure.panels.forEach((panel) => panel.marks.forEach((mark) => mark.label && (!first.has(mark.label) || (first.get(mark.label).kind === "Line" && mark.kind === "Points")) && first.set(mark.label, mark)));
     for (const [label, mark] of first) {
       const made = button(label, `show or hide ${label}`, () => {
         const hide = !state.hidden.delete(label);

@@ -86,7 +86,7 @@ def draw_release(name: str, release: StepRelease) -> Figure:
     whole.y.label = f"output / ({unit})" if " " in unit or "/" in unit else f"output / {unit}"
     rest.y.label = "residual / %"
     caption = (
-        "Record (blue) and fit (red, dashed); grey: while the load changes, by the fit. Below: the residual over "
+        "Record (blue) and fit (dashed); grey: while the load changes, by the fit. Below: the residual over "
         "the output's change; it is only noise if the model is correct."
     )
     return drawn.with_title(f"{release.name}: record, fit and residual", caption)
@@ -109,7 +109,7 @@ def draw_releases(components: Sequence[StepComponent]) -> list[Figure]:
         panel.x.label = "time / ms"
     for panel in drawn.panels[len(fits) :]:
         panel.blank = True
-    caption = "Output (blue) and model (red, dashed) around the release of each load; grey: while the load changes."
+    caption = "Output (blue) and model (dashed) around the release of each load; grey: while the load changes."
     return [drawn.with_title("Releases and models", caption, main=True)]
 
 
