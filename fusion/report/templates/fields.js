@@ -110,6 +110,8 @@ const fieldCanvas = (() => {
   const median = list => { const kept = [...list].filter(Number.isFinite).sort((a, b) => a - b); return kept.length ? kept[kept.length >> 1] : 0; };
   const ends = list => { const kept = [...list].filter(Number.isFinite); return kept.length ? [Math.min(...kept), Math.max(...kept)] : [0, 1]; };
 
+  const spread = list => { const [low, high] = ends(list); return high - low; }; // of 100 normal numbers below 6.6 σ in 99 %
+
   function start(panel) {
     const part = name => panel.querySelector(`[data-field="${name}"]`);
     const calm = matchMedia("(prefers-reduced-motion: reduce)");
@@ -195,6 +197,7 @@ const fieldCanvas = (() => {
       const what = quantity.kind === "score" ? "mean over the frames" : { size: quantity.phasor ? "amplitude at " : "at ", phase: "phase at ", now: `at ${Math.round(state.phase / DEG) % 360}° of ` }[found.view] + hertz;
       one.of("shown").textContent = `${quantity.label}, ${what}: ${KIND[quantity.kind]}.` +
         (expanded > 0 ? ` U of a subset ${Number(expanded.toPrecision(2))}${found.unit === "°" ? "" : " "}${found.unit} (median).` : "") +
+        (expanded > 0 && quantity.kind === "measured" && !found.noise && found.view !== "now" && spread(found.shown) < 3.3 * expanded ? " Differences between subsets are no larger than their noise." : "") +
         (found.noise ? ` ${found.above} of ${one.canvas.count} subsets are above their noise${quantity.kind === "measured" ? "; 5 % would be by chance" : ""}.` : "");
       one.of("probe").textContent = told_at(one, found);
     }
