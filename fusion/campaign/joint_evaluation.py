@@ -299,11 +299,9 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
             judged = verdict(first.relative)
             remark += f"; {judged.partition(':')[0] if many else judged}"
         name = result_name(first.kind, first.channel, first.component, main=True)
-        name = (
-            capitalise(name)
-            if first.kind == "ratio"
-            else f"Sensitivity, output {first.channel} per load {first.component}"
-        )
+        if first.kind != "ratio":
+            name = f"{'' if many else 'sensitivity, '}output {first.channel} per load {first.component}"
+        name = capitalise(name)
         label = f"{name}, {first.frequency_hz:.1f} Hz"
         size = quantity_text(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
