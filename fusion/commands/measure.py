@@ -21,6 +21,7 @@ from fusion.commands.options import (
     command,
     count,
     draws,
+    frequencies,
     hertz,
     not_negative,
     page,
@@ -50,9 +51,7 @@ if TYPE_CHECKING:
     from shakercal._common.notices import DeclaredNotice
 
 log = logging.getLogger("shakercal")
-DECIMALS = 6  # of frequencies within a range, in Hz
 MOST_FRAMES = 1_000_000
-MOST_LINES = 1000  # excitations of a plan
 
 
 def _plan_options(parser: Parser) -> None:
@@ -82,42 +81,6 @@ def _plan_options(parser: Parser) -> None:
     parser.value("--setup", path, "SETUP.toml", text)
     parser.set_defaults(usage_error=parser.error)
     parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
-
-
-def frequencies(text: str) -> tuple[float, ...]:
-    """Return the frequencies of a text such as 53.7,106.25 or 53.7:1020.3:12, in the order given."""
-    found: list[float] = []
-    for item in text.split(","):
-        found += _range(item.strip())
-        if len(found) > MOST_LINES:
-            raise argparse.ArgumentTypeError(f"expected at most {MOST_LINES} frequencies, found {len(found)} or more")
-    repeated = next((value for i, value in enumerate(found) if value in found[:i]), None)
-    if repeated is not None:
-        raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
-    return tuple(found)
-
-
-def _range(text: str) -> list[float]:
-    """Return the frequencies of one number or range."""
-    shown = (text if text.isprintable() else ascii(text))[:60] or "an empty text"
-    wrong = argparse.ArgumentTypeError(f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {shown}")
-    parts = text.split(":")
-    logarithmic = len(parts) == 4 and parts[3] == "log"
-    if len(parts) not in (1, 3) and not logarithmic:
-        raise wrong
-    try:
-        first, last = hertz(parts[0]), hertz(parts[1] if len(parts) > 1 else parts[0])
-        number = int(parts[2]) if len(parts) > 1 else 1
-    except (ValueError, argparse.ArgumentTypeError):
-        raise wrong from None
-    if number < 1 or (number == 1) != (first == last):
-        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {shown}")
-    if number > MOST_LINES:
-        raise argparse.ArgumentTypeError(f"expected a count of at most {MOST_LINES}, found {shown}")
-    shares = [i / max(number - 1, 1) for i in range(number)]
-    if logarithmic:
-        return [round(first * (last / first) ** share, DECIMALS) for share in shares]
-    return [round(first + (last - first) * share, DECIMALS) for share in shares]
 
 
 @command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
@@ -493,7 +456,7 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results or channels as a universal file, inputs as CSV, or fields as images and VTK.
+    """Export results as a universal file, inputs as CSV, or fields as images.
 
     Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
     """

@@ -14,6 +14,8 @@ from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_CLOSED = 0, 1, 2, 130, 141
 LONGEST, LONGEST_MESSAGE = 4096, 500  # characters of a path, and of an error message
+DECIMALS = 6  # of frequencies within a range, in Hz
+MOST_LINES = 1000  # excitations of a plan
 MOST_OF_SIZE = 100_000  # columns or rows, of targets and images
 Value = TypeVar("Value", int, float)
 
@@ -260,3 +262,39 @@ def device(choice: str) -> str:
         return resolve_device(choice)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix("device: ")) from error
+
+
+def frequencies(text: str) -> tuple[float, ...]:
+    """Return the frequencies of a text such as 53.7,106.25 or 53.7:1020.3:12, in the order given."""
+    found: list[float] = []
+    for item in text.split(","):
+        found += _range(item.strip())
+        if len(found) > MOST_LINES:
+            raise argparse.ArgumentTypeError(f"expected at most {MOST_LINES} frequencies, found {len(found)} or more")
+    repeated = next((value for i, value in enumerate(found) if value in found[:i]), None)
+    if repeated is not None:
+        raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
+    return tuple(found)
+
+
+def _range(text: str) -> list[float]:
+    """Return the frequencies of one number or range."""
+    shown = (text if text.isprintable() else ascii(text))[:60] or "an empty text"
+    wrong = argparse.ArgumentTypeError(f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {shown}")
+    parts = text.split(":")
+    logarithmic = len(parts) == 4 and parts[3] == "log"
+    if len(parts) not in (1, 3) and not logarithmic:
+        raise wrong
+    try:
+        first, last = hertz(parts[0]), hertz(parts[1] if len(parts) > 1 else parts[0])
+        number = int(parts[2]) if len(parts) > 1 else 1
+    except (ValueError, argparse.ArgumentTypeError):
+        raise wrong from None
+    if number < 1 or (number == 1) != (first == last):
+        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {shown}")
+    if number > MOST_LINES:
+        raise argparse.ArgumentTypeError(f"expected a count of at most {MOST_LINES}, found {shown}")
+    shares = [i / max(number - 1, 1) for i in range(number)]
+    if logarithmic:
+        return [round(first * (last / first) ** share, DECIMALS) for share in shares]
+    return [round(first + (last - first) * share, DECIMALS) for share in shares]

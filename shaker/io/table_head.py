@@ -137,11 +137,17 @@ class _SplitLines:
     def are_units(self, index: int) -> bool:
         """Return whether all texts of a line are units."""
         cells = [cell.strip("[]() ") for cell in self.cells(index) if cell and not is_number(cell, self.comma)]
-        return bool(cells) and all(_UNITS.fullmatch(cell) for cell in cells)
+        return bool(cells) and all(map(_is_unit, cells))
 
     def has_time(self, index: int) -> bool:
         """Return whether a line names a column of times."""
         return any(is_time(*split_unit(cell), text=True) for cell in self.cells(index))
+
+
+def _is_unit(text: str) -> bool:
+    """Return whether a text is a known unit or made of known units, as mV/(m/s^2)."""
+    parts = [part for part in re.split(r"[/()*·^\d²³-]+", text) if part]
+    return bool(_UNITS.fullmatch(text) or (len(parts) > 1 and all(_UNITS.fullmatch(part) for part in parts)))
 
 
 def find_head(path: Path) -> TableHead:

@@ -10,8 +10,7 @@ import pytest
 from support import RefusedCommand, rows
 
 from fusion.cli import main
-from fusion.commands.measure import frequencies
-from fusion.commands.options import EXIT_DONE, EXIT_INPUT
+from fusion.commands.options import EXIT_DONE, EXIT_INPUT, frequencies
 from fusion.planning.planning_notices import NOISE_UNSTATED, RATE_LIMITS, RATE_STEP, TOO_FEW_FRAMES
 
 TWELVE = "--frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211"

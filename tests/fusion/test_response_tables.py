@@ -164,7 +164,7 @@ def written(folder: Path, names, units, rows) -> Path:
         (("Hz", "V", "rad", "V", "rad"), {"u_magnitude_unit": "%"}, 0.2, ("uS", RESPONSE_UNIT_CONTRADICTION)),
         (("Hz", "V", "rad", "mV", "rad"), {}, 0.2, ("uS", RESPONSE_UNIT_CONTRADICTION)),
         (("Hz", "dB", "rad", "dB", "rad"), {}, 0.2, ("S", RESPONSE_UNIT_CONTRADICTION)),
-        (("s", "V", "rad", "V", "rad"), {}, 0.2, ("f", RESPONSE_UNIT_CONTRADICTION)),
+        (("s", "V", "rad", "V", "rad"), {}, 0.2, ("response_columns", UNREADABLE_RESPONSE_FILE)),  # f is the time axis
         (("Hz", "V", "gon", "V", "gon"), {}, 0.2, ("phi", RESPONSE_UNIT_CONTRADICTION)),
         (None, {"phase": "phase delay"}, 0.2, ("response_columns.phase", AMBIGUOUS_PHASE_SIGN)),
         (None, {"phase": "phase_lag"}, -0.2, ("response_columns.phase", AMBIGUOUS_PHASE_SIGN)),

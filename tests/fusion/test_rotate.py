@@ -242,7 +242,7 @@ def test_files_of_a_run(campaign, capsys):
         assert file["weights/covariance"][0, 0] > 0.0
     page = (folder / "rotation.html").read_text(encoding="utf-8")
     self_contained(page)
-    assert page.count("<figure") == 5
+    assert page.count("<figure") == 7
 
 
 def test_the_example_of_the_documentation_is_the_simulated_recording(simulated):

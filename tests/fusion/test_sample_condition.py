@@ -65,7 +65,7 @@ def _filtered_after_clipping(samples: FloatArray) -> FloatArray:
     ("change", "expected", "widest"),
     [
         (lambda samples: samples, "", 3e-4),
-        (_within(-40.0, 40.0), "-40 and 40", 1e-3),
+        (_within(-40.0, 40.0), "−40 and 40", 1e-3),
         (_within(-100.0, 30.0), " 30: ", 1e-3),
         (_filtered_after_clipping, "istortion", 0.3),
         (_lost(2.0, 8.0, 80.0), " 2 s to 7.9995 s", 1e-3),
@@ -92,7 +92,7 @@ def test_defects_of_samples_are_reported_and_included_in_u(
 
 @pytest.mark.parametrize(
     ("change", "numbers"),
-    [(_within(-20.0, 20.0), "-20 and 20: 14750 "), (_lost(0.5, 9.6, 0.0), "0.5 s to 9.5995 s: 18200 ")],
+    [(_within(-20.0, 20.0), "−20 and 20: 14750 "), (_lost(0.5, 9.6, 0.0), "0.5 s to 9.5995 s: 18200 ")],
 )
 def test_a_channel_with_too_few_usable_samples_is_refused(tmp_path: Path, change: Change, numbers: str) -> None:
     with pytest.raises(InputError, match=rf"daq\.h5: acc: .*{numbers}.* 20000 "):
