@@ -60,6 +60,12 @@ def covered(evaluation: ComparisonEvaluation, names: Sequence[str]) -> list[bool
     return [bool(abs(found.reference.normalised[n]) <= 1.0) for found, n in every if found.reference.used.any()]
 
 
+def complex_pairs(evaluation: ComparisonEvaluation) -> list[float]:
+    """Return E_n of the complex values of all pairs."""
+    every = [found.complex_normalised for found in evaluation.quantities if found.complex_normalised is not None]
+    return [float(e_n) for found in every for e_n in found[np.triu_indices(len(found), 1)]]
+
+
 # Degrees of equivalence of one round.
 
 
@@ -67,14 +73,17 @@ def covered(evaluation: ComparisonEvaluation, names: Sequence[str]) -> list[bool
 def test_u_covers_the_degrees_of_equivalence_of_five_laboratories_in_95_percent() -> None:
     """250 comparisons, two laboratories share an input; the truth is that all measure one artefact."""
     rng, names, found, pairs = np.random.default_rng(3), ["ptb", "nist", "cem", "kriss", "nim"], [], []
+    both = list[float]()
     for _ in range(250):
         mass = float(rng.standard_normal())
         drawn = [result(n, rng.standard_normal((12, 2)), U[n], mass if n in names[:2] else None) for n in names]
         evaluation = compared(drawn)
         found += covered(evaluation, names)
         pairs += [np.abs(q.normalised[np.triu_indices(5, 1)]) <= 1.0 for q in evaluation.quantities]
+        both += complex_pairs(evaluation)
     assert 0.93 <= np.mean(found) <= 0.97
     assert 0.93 <= np.mean(pairs) <= 0.97
+    assert 0.93 <= np.mean(np.array(both) <= 1.0) <= 0.97, "magnitude and phase together"
 
 
 def test_pairs_have_the_u_of_their_difference() -> None:
@@ -185,13 +194,15 @@ def test_two_linking_laboratories_are_weighted_and_tested() -> None:
 @pytest.mark.slow
 def test_u_covers_the_degrees_of_equivalence_of_linked_laboratories_in_95_percent() -> None:
     """250 comparisons of two rounds with different artefacts, the pilot's results share an input."""
-    rng, found, linked = np.random.default_rng(4), [], []
+    rng, found, linked, both = np.random.default_rng(4), [], [], list[float]()
     for _ in range(250):
         evaluation = compared(two_rounds(rng, float(rng.standard_normal())))
         found += covered(evaluation, evaluation.laboratories[:4])
         linked += covered(evaluation, ["rc/lab", "rc/inm"])
+        both += complex_pairs(evaluation)
     assert 0.93 <= np.mean(found) <= 0.97
     assert 0.93 <= np.mean(linked) <= 0.97
+    assert 0.93 <= np.mean(np.array(both) <= 1.0) <= 0.97, "magnitude and phase together"
 
 
 # Stability of the artefact.
@@ -262,7 +273,6 @@ def write_round(folder: Path, results: Sequence[ComparedResult]) -> list[str]:
 
 def test_page_and_files_of_a_linked_comparison(tmp_path) -> None:
     arguments = write_round(tmp_path, two_rounds(np.random.default_rng(5), None))
-    arguments += write_round(tmp_path, [])
     out = tmp_path / "out"
     assert main(["compare", *arguments, "--link", "ptb", "--reference", "median", "-o", str(out), "-q"]) == 0
     table = rows(out / "comparison.csv")

@@ -152,8 +152,11 @@ def evaluate_comparison(
     round is not linked.
     """
     begun = time.perf_counter()
+    settings: dict[str, str | float | int] = {"tolerance": tolerance, "reference value": method.reference}
     results = [_dated(result, dates) for result in results]
     first, links = _check_rounds(results, method)
+    if links:
+        settings["linking laboratories"] = ", ".join(sorted(links))
     shared = find_shared_inputs(results)
     unmatched: list[tuple[str, ComparedValue]] = []
     stated, linked, stability, rounds = [], list[ComparedGroup](), list[ArtefactStability](), list[RoundLink]()
@@ -190,9 +193,7 @@ def evaluate_comparison(
             *_about_artefacts(stability, rounds),
             *conventions,
         ),
-        settings={"tolerance": tolerance, "reference value": method.reference}
-        | ({"linking laboratories": ", ".join(sorted(links))} if links else {})
-        | {f"date of {name}": str(day) for name, day in dates.items()},
+        settings=settings | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
         duration_s=time.perf_counter() - begun,
         results=tuple(results),
@@ -239,8 +240,10 @@ def _check_rounds(results: Sequence[ComparedResult], method: ComparisonMethod) -
     linked = linked_rounds(names, links, first)
     for participant, result in zip(participants, results, strict=True):
         if participant.round not in linked:
-            rounds = {"round": participant.round or "(no name)", "first": first or "(no name)"}
-            raise InputError(declared.ROUND_NOT_LINKED, result.file, **rounds)
+            unnamed = "(no name)"
+            raise InputError(
+                declared.ROUND_NOT_LINKED, result.file, round=participant.round or unnamed, first=first or unnamed
+            )
     return first, links
 
 

@@ -265,9 +265,14 @@ def complex_normalised_error(
     phases, from which C follows.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
-    roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
+    size = np.abs(value)[:, None]
+    variance = np.column_stack([u_magnitude, size[:, 0] * u_phase_rad]) ** 2
+    # A shared input correlates magnitude and phase of one result, too.
+    individual = variance - sum(((effect * size) ** 2 for effect in shared), np.zeros_like(variance))
+    roots = frame * np.sqrt(np.maximum(individual, 0.0))[:, None, :]
+    common = [np.einsum("nij,nj->ni", frame, effect * size) for effect in shared]
     covariances = roots @ roots.swapaxes(-1, -2)
-    common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
+    covariances += sum((c[:, :, None] * c[:, None, :] for c in common), np.zeros_like(covariances))
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
         spread = covariances[i] + covariances[j]

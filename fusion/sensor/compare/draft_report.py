@@ -77,7 +77,7 @@ def artefact(evaluation: ComparisonEvaluation) -> list[Table | None]:
         page_column("laboratory", lambda row: row.laboratory, "l"),
         *element_columns(lambda row: row.value),
         page_column("quantity", lambda row: row.quantity, "l"),
-        page_column("results", lambda row: str(row.count)),
+        page_column("results", lambda row: str(row.repeats)),
         page_column("change per year ± U", lambda row: _change(row.value, row.quantity, row.per_year, row.u_per_year)),
         page_column("p of a stable artefact", lambda row: number_text(row.p, 2)),
         page_column("drift removed", lambda row: "yes" if row.removed else "no", "l"),
@@ -187,7 +187,7 @@ def draw_equivalence(evaluation: ComparisonEvaluation, quantities: Sequence[Comp
 
 def _shifted(x: FloatArray, shift: float, ends: FloatArray, *, log: bool) -> FloatArray:
     """Return frequencies shifted by a share of the axis."""
-    return x * (ends[1] / ends[0]) ** shift if log else x + shift * (ends[1] - ends[0])
+    return np.asarray(x * (ends[1] / ends[0]) ** shift if log else x + shift * (ends[1] - ends[0]))
 
 
 def pairs(evaluation: ComparisonEvaluation) -> list[Table | None]:

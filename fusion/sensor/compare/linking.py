@@ -81,7 +81,7 @@ class ComparedGroup:
     def individual(self) -> FloatArray:
         """Return the standard uncertainty (N, 2) of each value without the inputs."""
         u = np.array([[v.u_magnitude / v.magnitude, v.u_phase_rad] for v in self.values])
-        return np.sqrt(np.maximum(u**2 - np.sum(self.effects**2, axis=0), 0.0))
+        return np.asarray(np.sqrt(np.maximum(u**2 - np.sum(self.effects**2, axis=0), 0.0)))
 
     def covariance(self, column: int) -> FloatArray:
         """Return the covariance (N, N) of log magnitudes (0) or phases (1)."""
@@ -110,7 +110,7 @@ class ComparedGroup:
             if len(reached) > 1 and own[n, column] > 0.0:
                 effect = np.zeros(new.shape)
                 effect[:, column] = maps[column, :, n] * own[n, column]
-                unknowns = {names[m]: f"{QUANTITIES[column]} of {self.names[n]}" for m in reached}
+                unknowns = {names[m]: f"{QUANTITIES[column]} of {self.names[n]}" for m in reached.tolist()}
                 acting.append((SharedInput(f"result of {self.names[n]}", evidence, unknowns, proven=False), effect))
         values = [
             replace(
@@ -138,7 +138,7 @@ class ArtefactStability(NamedTuple):
     value: ComparedValue
     quantity: str
     laboratory: str
-    count: int
+    repeats: int
     per_year: float
     u_per_year: float
     p: float
@@ -258,7 +258,7 @@ def link_rounds(group: ComparedGroup, links: frozenset[str], first: str) -> tupl
         transfers.append(transfer)
         u = np.sqrt(np.einsum("rn,nm,rm->r", transfer, np.nan_to_num(group.covariance(column)), transfer))
         change = transfer @ np.nan_to_num(group.coordinates[:, column])
-        for row in np.flatnonzero(transfer.any(axis=1)):
+        for row in np.flatnonzero(transfer.any(axis=1)).tolist():
             by = dict.fromkeys(participants[n].laboratory for n in np.flatnonzero(transfer[row]))
             # The ratio of magnitudes and its u; phases differ by a sum.
             size = np.exp(change[row]) if column == 0 else 1.0
