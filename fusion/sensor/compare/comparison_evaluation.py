@@ -102,7 +102,10 @@ class ComparedQuantity:
 
 @dataclass(frozen=True)
 class ComparisonMethod:
-    """Reference value, `mean` or `median`, and the laboratories that link rounds; empty: all in several rounds."""
+    """Method of the reference value, and laboratories that link rounds.
+
+    `reference`: `mean` or `median`. `link`: names; empty: all laboratories in several rounds.
+    """
 
     reference: str = "mean"
     link: tuple[str, ...] = ()
@@ -225,7 +228,10 @@ def _each_once(items: Iterable[SharedInput]) -> list[SharedInput]:
 
 
 def _check_rounds(results: Sequence[ComparedResult], method: ComparisonMethod) -> tuple[str, frozenset[str]]:
-    """Return the round of the reference value and the linking laboratories; raise `InputError` without a link."""
+    """Return the round of the reference value and the linking laboratories.
+
+    Raises `InputError` for a round without a link.
+    """
     names = [result.name for result in results]
     participants = [Participant.of(name) for name in names]
     first = participants[0].round
@@ -250,7 +256,7 @@ def _check_rounds(results: Sequence[ComparedResult], method: ComparisonMethod) -
 def _comparable(
     entries: list[tuple[str, ComparedValue]], links: frozenset[str], first: str
 ) -> tuple[list[tuple[str, ComparedValue]], list[tuple[str, ComparedValue]]]:
-    """Return values that can be compared with two laboratories of the first round, and all others."""
+    """Return values comparable with two laboratories of the first round, and all others."""
     rounds = linked_rounds([name for name, _ in entries], links, first)
     found = [entry for entry in entries if Participant.of(entry[0]).round in rounds]
     if len({p.laboratory for p in (Participant.of(name) for name, _ in found) if p.round == first}) < 2:

@@ -242,7 +242,7 @@ class ReferenceValue:
 
 
 def pair_differences(value: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return differences x_i - x_j (N, N) of pairs of results, and their U, k = 2, with correlations."""
+    """Return differences x_i - x_j (N, N) of pairs, and their U (k = 2)."""
     variance = np.diag(covariance)
     spread = variance[:, None] + variance[None, :] - 2.0 * covariance
     return value[:, None] - value[None, :], COVERAGE_FACTOR * np.sqrt(np.maximum(spread, 0.0))
@@ -295,11 +295,11 @@ def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, flo
 
 
 def reference_value(value: FloatArray, covariance: FloatArray, count: int | None = None) -> ReferenceValue:
-    """Return the reference value of the first `count` (default: all) of N results with covariance (N, N).
+    """Return the weighted mean of the first `count` (default: all) of N results.
 
-    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not reject it at 5 %. Otherwise that of the
-    largest consistent subset, among equal ones that of the smallest χ² (Cox, Metrologia 44 (2007) 187). The other
-    results, which are linked, have degrees of equivalence only.
+    `covariance` (N, N) of the results. Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not
+    reject it at 5 %. Otherwise that of the largest consistent subset, among equal ones that of the smallest χ² (Cox,
+    Metrologia 44 (2007) 187). The other results, which are linked, have degrees of equivalence only.
     """
     every, count = len(value), len(value) if count is None else count
     if not 2 <= count <= MAX_RESULTS:
@@ -331,11 +331,11 @@ def reference_value(value: FloatArray, covariance: FloatArray, count: int | None
 
 
 def median_reference(value: FloatArray, covariance: FloatArray, count: int | None = None) -> ReferenceValue:
-    """Return the median of the first `count` (default: all) of N results with covariance (N, N).
+    """Return the median of the first `count` (default: all) of N results.
 
-    Cox, Metrologia 39 (2002) 589, procedure B: all results are used. Value and u are mean and standard deviation of the
-    medians of Monte Carlo draws, the interval is the shortest that contains 95 % of them. U of a deviation covers 95 %
-    of its draws. χ² is that of the weighted mean.
+    `covariance` (N, N) of the results. Cox, Metrologia 39 (2002) 589, procedure B: all results are used. Value and u
+    are mean and standard deviation of the medians of Monte Carlo draws, the interval is the shortest that contains 95 %
+    of them. U of a deviation covers 95 % of its draws. χ² is that of the weighted mean.
     """
     every, count = len(value), len(value) if count is None else count
     u = np.sqrt(np.diag(covariance))

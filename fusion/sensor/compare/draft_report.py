@@ -1,4 +1,4 @@
-"""Page of a comparison in the form of a Draft B: participants, artefact, degrees of equivalence."""
+"""Page of a comparison like a Draft B: participants, artefact, degrees of equivalence."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def _pair_matrix(found: ComparedQuantity) -> Table | None:
 
 
 def conclusions(evaluation: ComparisonEvaluation) -> Table | None:
-    """Return how often U covers the degrees of equivalence of each laboratory, and the largest E_n."""
+    """Return how often U covers degrees of equivalence by laboratory, and the largest E_n."""
 
     def normalised(name: str, quantity: str) -> list[tuple[float, float]]:
         of = [found for found in evaluation.quantities if found.quantity == quantity and name in found.names]

@@ -25,7 +25,10 @@ NEGLIGIBLE = 1e-9
 
 
 class Participant(NamedTuple):
-    """Round, laboratory and day of a result by its name, such as `rc/ptb@2024-03-01`; empty if not stated."""
+    """Round, laboratory and day that a result's name states: `rc/ptb@2024-03-01`.
+
+    Parts that it does not state are empty.
+    """
 
     round: str
     laboratory: str
@@ -62,7 +65,10 @@ class ComparedGroup:
 
     @property
     def coordinates(self) -> FloatArray:
-        """Return logarithms of magnitudes and phases (N, 2), unwrapped in each round; NaN without a phase."""
+        """Return logarithms of magnitudes, and phases (N, 2) unwrapped in each round.
+
+        NaN without a phase.
+        """
         found = np.array([[np.log(v.magnitude), np.nan if v.phase_rad is None else v.phase_rad] for v in self.values])
         rounds = np.array([participant.round for participant in self.participants])
         for name in dict.fromkeys(rounds.tolist()):
@@ -129,7 +135,7 @@ class ComparedGroup:
 
 
 class ArtefactStability(NamedTuple):
-    """Change per year of an artefact by the repeated results of one laboratory in one round.
+    """Change per year of an artefact by repeated results of one laboratory.
 
     Relative for magnitudes, rad for phases. `p`: probability of a change at least as large without any drift.
     `removed`: whether it is refuted that the artefact is stable, and the change removed.
@@ -146,9 +152,10 @@ class ArtefactStability(NamedTuple):
 
 
 class RoundLink(NamedTuple):
-    """Link of a round to the first: ratio of the artefacts, or difference of their phases (rad), with u.
+    """Link of a round to the first.
 
-    `p`: of χ² of the differences of several linking laboratories, NaN of one.
+    `transfer`: ratio of the artefacts, or difference of their phases (rad), with u. `p`: of χ² of the
+    differences of several linking laboratories, NaN of one.
     """
 
     value: ComparedValue
@@ -201,7 +208,7 @@ def merge_repeats(group: ComparedGroup) -> tuple[ComparedGroup, list[ArtefactSta
 def _stability(
     group: ComparedGroup, column: int, of_round: np.typing.NDArray[np.bool_]
 ) -> tuple[ArtefactStability | None, FloatArray]:
-    """Return the drift by the laboratory with most dated results in a round, and its weights (N,)."""
+    """Return the drift by the laboratory with most dated results, and its weights (N,)."""
     year, weights = np.array([value.year for value in group.values]), np.zeros(len(group.names))
     dated: dict[str, list[int]] = {}
     for index in np.flatnonzero(of_round & np.isfinite(year)):
@@ -242,7 +249,7 @@ def linked_rounds(names: Sequence[str], links: frozenset[str], first: str) -> se
 
 
 def link_rounds(group: ComparedGroup, links: frozenset[str], first: str) -> tuple[ComparedGroup, list[RoundLink]]:
-    """Return the values of all rounds transferred to the artefact of the first, and the links.
+    """Return all values transferred to the artefact of the first round, and the links.
 
     Generalised least squares with one artefact per round and one deviation per linking laboratory. A linking laboratory
     has its value in its first round only. All rounds must be linked (`linked_rounds`).
@@ -265,20 +272,20 @@ def link_rounds(group: ComparedGroup, links: frozenset[str], first: str) -> tupl
             shift = size if column == 0 else float(np.angle(np.exp(1j * change[row])))
             link = group.values[0], quantity, others[row], tuple(by), float(shift), float(size * u[row]), p
             found.append(RoundLink(*link))
-    kept, seen = [], set[str]()
+    rows_used, seen = [], set[str]()
     for n in sorted(range(len(participants)), key=lambda n: participants[n].round != first):
         if participants[n].laboratory not in seen:
-            kept.append(n)
+            rows_used.append(n)
             names.append(group.names[n])
         seen |= {participants[n].laboratory} & links
-    maps = np.stack([np.eye(len(participants))[kept]] * 2)
-    for row, n in enumerate(kept):
+    maps = np.stack([np.eye(len(participants))[rows_used]] * 2)
+    for row, n in enumerate(rows_used):
         if participants[n].round != first:
             for column in range(2):
                 of_round = transfers[column][others.index(participants[n].round)]
                 # Without a link of phases, the phase is not transferred.
                 maps[column, row] -= of_round if of_round.any() else np.nan
-    years = [group.values[n].year for n in kept]
+    years = [group.values[n].year for n in rows_used]
     return group.mapped(names, maps, LINK, years), found
 
 
@@ -289,7 +296,7 @@ def _transfers(
     links: frozenset[str],
     usable: np.typing.NDArray[np.bool_],
 ) -> tuple[FloatArray, float]:
-    """Return weights (R, N) of the differences of artefacts from the first round, and p of the links."""
+    """Return weights (R, N) of the differences from the first artefact, and p."""
     participants = group.participants
     rows = [n for n, p in enumerate(participants) if p.laboratory in links and usable[n]]
     laboratories = list(dict.fromkeys(participants[n].laboratory for n in rows))
