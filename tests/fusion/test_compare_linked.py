@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -189,6 +190,28 @@ def test_two_linking_laboratories_are_weighted_and_tested() -> None:
     assert "rc/nist" in only.laboratories, "as a laboratory of its own in this round"
     shifted = [*results[:-1], result("rc/nist", np.full((12, 2), 12.0), U["nist"], None, 7 * np.exp(2j))]
     assert raised.LINKS_INCONSISTENT.code in {notice.code for notice in compared(shifted).notices}
+
+
+def test_values_without_a_link_are_not_compared() -> None:
+    """The pilot has no phase in the second round, and no value at its last frequency."""
+    results = two_rounds(np.random.default_rng(1), 0.4)
+    values = tuple(replace(value, phase_rad=None, u_phase_rad=np.nan) for value in results[4].values[:-1])
+    evaluation = compared([*results[:4], replace(results[4], values=values), *results[5:]])
+    magnitudes = [found for found in evaluation.quantities if found.quantity == "magnitude"]
+    assert [len(found.names) for found in magnitudes] == [6] * 11 + [4]
+    assert {name for name, _ in evaluation.unmatched} == {"rc/lab", "rc/inm"}
+    phases = [found for found in evaluation.quantities if found.quantity == "phase"]
+    assert {found.names for found in phases} == {("kc/ptb", "kc/nist", "kc/cem", "kc/kriss")}
+    assert {link.quantity for link in evaluation.links} == {"magnitude"}
+
+
+def test_the_sign_of_a_linked_laboratory_is_recognised() -> None:
+    results = two_rounds(np.random.default_rng(1), 0.4)
+    values = tuple(replace(value, phase_rad=(value.phase_rad or 0.0) + np.pi) for value in results[5].values)
+    evaluation = compared([*results[:5], replace(results[5], values=values), results[6]])
+    phases = [found for found in evaluation.quantities if found.quantity == "phase"]
+    assert {found.opposite_sign for found in phases} == {("rc/lab",)}
+    assert max(abs(found.reference.deviation).max() for found in phases) < 0.05
 
 
 @pytest.mark.slow

@@ -405,6 +405,8 @@ def _about_artefacts(stability: Sequence[ArtefactStability], links: Sequence[Rou
     for one in stability:
         elements.setdefault((one.laboratory, one.value.channel, one.value.component), []).append(one)
     for (laboratory, channel, component), found in elements.items():
+        if min(one.p for one in found) >= SIGNIFICANCE / len(found):
+            continue  # one value in twenty drifts by chance (Bonferroni); the table lists it
         for notice, removed in ((declared.DRIFT_REMOVED, True), (declared.DRIFT_NOT_REMOVED, False)):
             count = sum(one.p < SIGNIFICANCE and one.removed is removed for one in found)
             if count:
@@ -415,7 +417,7 @@ def _about_artefacts(stability: Sequence[ArtefactStability], links: Sequence[Rou
         if np.isfinite(link.p):
             rounds.setdefault((link.round, link.value.channel, link.value.component), []).append(link.p)
     for (name, channel, component), p in rounds.items():
-        if min(p) < SIGNIFICANCE / len(p):  # Bonferroni: of several values, whatever their correlation
+        if min(p) < SIGNIFICANCE / len(p):
             of = {"round": name, "channel": channel, "component": component}
             yield Notice(declared.LINKS_INCONSISTENT, "comparison", **of, p=min(p), count=len(p))
 
