@@ -175,18 +175,9 @@ def evaluate_comparison(
             linked.append(group)
             stability += found
             rounds += found_links
-    compared = [one for group in linked for one in _both_quantities(group, method, first, {})]
-    conventions = list(opposite_conventions(compared))
-    opposite_sign = opposite_signs(compared, list(dict.fromkeys(name for group in linked for name in group.names)))
-    if opposite_sign:
-        compared = [one for group in linked for one in _both_quantities(group, method, first, opposite_sign)]
+    compared, conventions = _quantities(linked, method, first)
     if not compared:
-        kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
-        if kinds:
-            raise InputError(
-                declared.ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds
-            )
-        raise InputError(declared.NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
+        raise _nothing_compared(results, unmatched, tolerance)
     acting = _each_once(item for found in compared for item in found.shared)
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(dict.fromkeys(Participant.of(result.name).name for result in results))}",
@@ -208,6 +199,18 @@ def evaluate_comparison(
         stability=tuple(stability),
         links=tuple(rounds),
     )
+
+
+def _nothing_compared(
+    results: Sequence[ComparedResult], unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
+) -> InputError:
+    """Return the error of results without a common value."""
+    kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
+    if kinds:
+        return InputError(
+            declared.ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds
+        )
+    return InputError(declared.NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
 
 
 def _dated(result: ComparedResult, dates: Mapping[str, Date]) -> ComparedResult:
@@ -305,6 +308,18 @@ def _in_one_unit(
 
 OppositeSigns: TypeAlias = Mapping[tuple[str, str], frozenset[str]]
 """Results whose sign is opposite to that of the first result, by channel and component."""
+
+
+def _quantities(
+    groups: Sequence[ComparedGroup], method: ComparisonMethod, first: str
+) -> tuple[list[ComparedQuantity], list[Notice]]:
+    """Return all compared quantities with one sign of each element, and notices of conventions."""
+    compared = [one for group in groups for one in _both_quantities(group, method, first, {})]
+    conventions = list(opposite_conventions(compared))
+    opposite_sign = opposite_signs(compared, list(dict.fromkeys(name for group in groups for name in group.names)))
+    if opposite_sign:
+        compared = [one for group in groups for one in _both_quantities(group, method, first, opposite_sign)]
+    return compared, conventions
 
 
 def _both_quantities(
