@@ -177,7 +177,7 @@ def evaluate_comparison(
             rounds += found_links
     compared, conventions = _quantities(linked, method, first)
     if not compared:
-        raise _nothing_compared(results, unmatched, tolerance)
+        raise _no_common_value(results, unmatched, tolerance)
     acting = _each_once(item for found in compared for item in found.shared)
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(dict.fromkeys(Participant.of(result.name).name for result in results))}",
@@ -201,7 +201,7 @@ def evaluate_comparison(
     )
 
 
-def _nothing_compared(
+def _no_common_value(
     results: Sequence[ComparedResult], unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
 ) -> InputError:
     """Return the error of results without a common value."""
