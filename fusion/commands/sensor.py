@@ -290,13 +290,18 @@ def certificate(options: argparse.Namespace) -> None:
 
 
 def _compare_options(parser: Parser) -> None:
-    text = "results folder or CSV table, optionally with a name"
+    text = "results folder, CSV table or certificate, optionally with a name: [ROUND/]NAME[@DATE]=RESULT"
     parser.value("inputs", str, "[NAME=]RESULT", text, nargs="+")
     parser.value(
         "--date", str, "NAME=DATE", "day of a result, YYYY-MM-DD, for the drift; may be repeated", action="append"
     )
     text = "names and units of the columns of tables of others (docs/comparison.md)"
     parser.value("--columns", path, "COLUMNS.toml", text)
+    parser.choice(
+        "--reference", ("mean", "median"), "reference value: weighted mean (default), or median by Monte Carlo"
+    )
+    text = "laboratory that links rounds; may be repeated (default: all with results in several rounds)"
+    parser.value("--link", str, "NAME", text, action="append")
     parser.value("--tolerance", percent, "PERCENT", "tolerance of equal frequencies (default: 0.1)", default=1e-3)
     parser.results("folder comparison in the working folder")
     parser.json()
@@ -304,12 +309,13 @@ def _compare_options(parser: Parser) -> None:
 
 @command(_compare_options, "2024=results-2024 2026=results-2026 --date 2024=2024-05-02 --date 2026=2026-03-09")
 def compare(options: argparse.Namespace) -> None:
-    """Compare results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
+    """Compare results of laboratories, campaigns or dates: degrees of equivalence, E_n, consistency, drift."""
+    from fusion.sensor.compare.comparison_evaluation import ComparisonMethod
     from fusion.sensor.compare.comparison_report import run_compare
 
-    run_compare(
-        options.inputs, options.output, options.date or (), options.tolerance, options.columns, force=options.force
-    )
+    method = ComparisonMethod(options.reference, tuple(options.link or ()))
+    dates = options.date or ()
+    run_compare(options.inputs, options.output, dates, options.tolerance, options.columns, method, force=options.force)
 
 
 COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, compare)

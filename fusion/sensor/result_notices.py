@@ -155,6 +155,39 @@ PHASES_DIFFER_BY_180 = DeclaredNotice(
     remedy="Check the sign of the output and `sense` of the sensor in both.",
     link="comparison.md",
 )
+ROUND_NOT_LINKED = DeclaredNotice(
+    "SC-972",
+    "error",
+    "expected a laboratory that links round {round} with round {first}, found none",
+    effect="The artefacts of different rounds differ, so that their values cannot be compared.",
+    remedy="Name the results of a laboratory in both rounds, and the laboratory in `--link` if this option is used.",
+    link="comparison.md",
+)
+LINKS_INCONSISTENT = DeclaredNotice(
+    "SC-973",
+    "warning",
+    "The laboratories that link round {round} contradict each other in {channel} per {component} (p = {p:.2g} at one "
+    "of {count} values).",
+    effect="The degrees of equivalence of the linked laboratories depend on which of them link the rounds.",
+    remedy="Examine the results of the linking laboratories, or state in `--link` those that are stable.",
+    link="comparison.md",
+)
+DRIFT_REMOVED = DeclaredNotice(
+    "SC-974",
+    "warning",
+    "The artefact drifts by repeated results of {laboratory}: {channel} per {component}, {count} of {points} values.",
+    effect="This drift is removed from the results of the round. Its uncertainty is included.",
+    link="comparison.md",
+)
+DRIFT_NOT_REMOVED = DeclaredNotice(
+    "SC-975",
+    "warning",
+    "The artefact drifts by repeated results of {laboratory}: {channel} per {component}, {count} of {points} values. "
+    "Not every result of the round has a date.",
+    effect="The drift is neither removed nor included in U.",
+    remedy="State the day of every result, `NAME@YYYY-MM-DD` or `--date`.",
+    link="comparison.md",
+)
 UNCERTAINTY_BY_FORMULA = DeclaredNotice(
     "SC-971",
     "warning",

@@ -50,7 +50,8 @@ def laboratory(
     drives = simulate_drives([setup], truth, errors)
     origin = Provenance({"rig.toml": f"{seed:064x}"}, {}, {"shakercal": "0.2.0"}, ())
     named = "Fz 100 Hz", "Fz 100 Hz", "1", "rig", "sine", (0.0, 0.0, 1.0), (100.0,)
-    return RecordingResults(*named, SENSOR, drives, (), origin, day, tuple(evidence)), complex(truth[2, 2])
+    recorded = RecordingResults(*named, SENSOR, drives, (), origin, day, evidence=tuple(evidence))
+    return recorded, complex(truth[2, 2])
 
 
 def results_of(folder: Path, recorded: RecordingResults, name: str) -> ComparedResult:

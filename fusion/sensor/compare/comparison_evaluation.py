@@ -1,9 +1,9 @@
-"""Evaluation of a comparison: groups of values, their reference value, E_n and drift."""
+"""Evaluation of a comparison: groups of values, their reference value, degrees of equivalence and drift."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
 from itertools import combinations, pairwise
@@ -19,6 +19,7 @@ from fusion.sensor import result_notices as declared
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, year_of
 from fusion.sensor.compare.consistency import (
     MAX_RESULTS,
+    SIGNIFICANCE,
     ReferenceValue,
     SharedInput,
     complex_normalised_error,
@@ -27,10 +28,22 @@ from fusion.sensor.compare.consistency import (
     find_contradictory_claims,
     find_possible_shared_inputs,
     find_shared_inputs,
+    median_reference,
     normalised_error,
+    pair_differences,
     reference_value,
     select_acting_inputs,
     weighted_mean,
+)
+from fusion.sensor.compare.linking import (
+    ArtefactStability,
+    ComparedGroup,
+    Participant,
+    RoundLink,
+    link_rounds,
+    linked_rounds,
+    linking_laboratories,
+    merge_repeats,
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -71,6 +84,11 @@ class ComparedQuantity:
     u_per_year: float | None
 
     @property
+    def differences(self) -> tuple[FloatArray, FloatArray]:
+        """Return the degrees of equivalence of all pairs (N, N), and their U."""
+        return pair_differences(self.value, self.covariance)
+
+    @property
     def largest(self) -> float:
         """Return the largest |E_n| of all pairs."""
         return float(np.abs(self.normalised).max())
@@ -83,58 +101,170 @@ class ComparedQuantity:
 
 
 @dataclass(frozen=True)
+class ComparisonMethod:
+    """Method of the reference value, and laboratories that link rounds.
+
+    `reference`: `mean` or `median`. `link`: names; empty: all laboratories in several rounds.
+    """
+
+    reference: str = "mean"
+    link: tuple[str, ...] = ()
+
+
+PROCEDURE_A = ComparisonMethod()
+
+
+@dataclass(frozen=True)
 class ComparisonEvaluation(CommandEvaluation):
-    """A comparison: the compared quantities, and values without a partner."""
+    """A comparison: the compared quantities, and values without a partner.
+
+    `stated`: the values of each element and frequency as the results state them. `stability` of the artefacts.
+    `links` of the rounds.
+    """
 
     results: tuple[ComparedResult, ...]
     shared: tuple[SharedInput, ...]
     quantities: tuple[ComparedQuantity, ...]
     unmatched: tuple[tuple[str, ComparedValue], ...]
+    method: ComparisonMethod = PROCEDURE_A
+    stated: tuple[ComparedGroup, ...] = ()
+    stability: tuple[ArtefactStability, ...] = ()
+    links: tuple[RoundLink, ...] = ()
+
+    @property
+    def laboratories(self) -> list[str]:
+        """Return the names of the compared results, in the order of the results."""
+        used = {name for found in self.quantities for name in found.names}
+        return [
+            name for name in dict.fromkeys(Participant.of(result.name).name for result in self.results) if name in used
+        ]
 
 
 def evaluate_comparison(
-    results: Sequence[ComparedResult], dates: Mapping[str, Date], tolerance: float, hashes: dict[str, str]
+    results: Sequence[ComparedResult],
+    dates: Mapping[str, Date],
+    tolerance: float,
+    hashes: dict[str, str],
+    method: ComparisonMethod = PROCEDURE_A,
 ) -> ComparisonEvaluation:
     """Compare results by name; frequencies match within the relative `tolerance` of the lowest.
 
-    Results are independent except for shared inputs with evidence (`find_shared_inputs`). Raises `InputError` if no
-    value can be compared, or if units differ.
+    Names state rounds and repeats (`Participant`). The first result belongs to the round of the reference value.
+    Results are independent except for shared inputs with evidence (`find_shared_inputs`), and for errors that they have
+    in common by a link of rounds or a drift. Raises `InputError` if no value can be compared, if units differ, or if a
+    round is not linked.
     """
     begun = time.perf_counter()
-    if not 2 <= len(results) <= MAX_RESULTS:
-        raise InputError(declared.WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
+    settings: dict[str, str | float | int] = {"tolerance": tolerance, "reference value": method.reference}
+    results = [_dated(result, dates) for result in results]
+    first, links = _check_rounds(results, method)
+    if links:
+        settings["linking laboratories"] = ", ".join(sorted(links))
     shared = find_shared_inputs(results)
-    groups = list(_groups(results, tolerance))
-    unmatched = [entry for entries in groups if len(entries) < 2 for entry in entries]
-    matched = [_in_one_unit(entries, results) for entries in groups if len(entries) > 1]
-    compared = [one for group in matched for one in _both_quantities(group, dates, shared, {})]
-    conventions = list(opposite_conventions(compared))
-    opposite_sign = opposite_signs(compared, [result.name for result in results])
-    if opposite_sign:
-        compared = [one for group in matched for one in _both_quantities(group, dates, shared, opposite_sign)]
+    unmatched: list[tuple[str, ComparedValue]] = []
+    stated, linked, stability, rounds = [], list[ComparedGroup](), list[ArtefactStability](), list[RoundLink]()
+    for entries in _groups(results, tolerance):
+        comparable, others = _comparable(entries, links, first)
+        unmatched += others
+        if comparable:
+            comparable = _in_one_unit(comparable, results)
+            names, values = zip(*comparable, strict=True)
+            stated.append(ComparedGroup(names, values, tuple(select_acting_inputs(comparable, shared))))
+            merged, found = merge_repeats(stated[-1])
+            group, found_links = link_rounds(merged, links, first)
+            linked.append(group)
+            stability += found
+            rounds += found_links
+    compared, conventions = _quantities(linked, method, first)
     if not compared:
-        kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
-        if kinds:
-            raise InputError(
-                declared.ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds
-            )
-        raise InputError(declared.NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
-    acting = [item for found in compared for item in found.shared]
+        raise _no_common_value(results, unmatched, tolerance)
+    acting = _each_once(item for found in compared for item in found.shared)
     return ComparisonEvaluation(
-        name=f"Comparison of {', '.join(result.name for result in results)}",
+        name=f"Comparison of {', '.join(dict.fromkeys(Participant.of(result.name).name for result in results))}",
         notices=(
             *_notices(results, unmatched, shared, acting=bool(acting)),
             *_about_kinds(results, unmatched, tolerance),
+            *_about_artefacts(stability, rounds),
             *conventions,
         ),
-        settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
+        settings=settings | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
         duration_s=time.perf_counter() - begun,
         results=tuple(results),
-        shared=tuple(item for item in shared if item in acting),
+        shared=tuple(acting),
         quantities=tuple(compared),
         unmatched=tuple(unmatched),
+        method=method,
+        stated=tuple(stated),
+        stability=tuple(stability),
+        links=tuple(rounds),
     )
+
+
+def _no_common_value(
+    results: Sequence[ComparedResult], unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
+) -> InputError:
+    """Return the error of results without a common value."""
+    kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
+    if kinds:
+        return InputError(
+            declared.ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds
+        )
+    return InputError(declared.NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
+
+
+def _dated(result: ComparedResult, dates: Mapping[str, Date]) -> ComparedResult:
+    """Return a result whose values have its stated day."""
+    if result.name not in dates:
+        return result
+    values = tuple(replace(value, year=year_of(dates[result.name])) for value in result.values)
+    return replace(result, values=values, date=dates[result.name])
+
+
+def _each_once(items: Iterable[SharedInput]) -> list[SharedInput]:
+    """Return inputs that correlate values, each once."""
+    found: list[SharedInput] = []
+    for item in items:
+        if item not in found:
+            found.append(item)
+    return found
+
+
+def _check_rounds(results: Sequence[ComparedResult], method: ComparisonMethod) -> tuple[str, frozenset[str]]:
+    """Return the round of the reference value and the linking laboratories.
+
+    Raises `InputError` for a round without a link.
+    """
+    names = [result.name for result in results]
+    participants = [Participant.of(name) for name in names]
+    first = participants[0].round
+    count = len({p.laboratory for p in participants if p.round == first})
+    if not 2 <= count <= MAX_RESULTS:
+        raise InputError(declared.WRONG_RESULT_COUNT, results[0].file, found=count, limit=MAX_RESULTS)
+    links = linking_laboratories(names, method.link)
+    for name in method.link:
+        if name not in links:
+            expected = "a laboratory with results in several rounds, ROUND/NAME=RESULT"
+            raise InputError(declared.WRONG_COMPARISON_OPTION, "--link", name, found=name, expected=expected)
+    linked = linked_rounds(names, links, first)
+    for participant, result in zip(participants, results, strict=True):
+        if participant.round not in linked:
+            unnamed = "(no name)"
+            raise InputError(
+                declared.ROUND_NOT_LINKED, result.file, round=participant.round or unnamed, first=first or unnamed
+            )
+    return first, links
+
+
+def _comparable(
+    entries: list[tuple[str, ComparedValue]], links: frozenset[str], first: str
+) -> tuple[list[tuple[str, ComparedValue]], list[tuple[str, ComparedValue]]]:
+    """Return values comparable with two laboratories of the first round, and all others."""
+    rounds = linked_rounds([name for name, _ in entries], links, first)
+    found = [entry for entry in entries if Participant.of(entry[0]).round in rounds]
+    if len({p.laboratory for p in (Participant.of(name) for name, _ in found) if p.round == first}) < 2:
+        return [], entries
+    return found, [entry for entry in entries if entry not in found]
 
 
 def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tuple[str, ComparedValue]]]:
@@ -180,35 +310,40 @@ OppositeSigns: TypeAlias = Mapping[tuple[str, str], frozenset[str]]
 """Results whose sign is opposite to that of the first result, by channel and component."""
 
 
+def _quantities(
+    groups: Sequence[ComparedGroup], method: ComparisonMethod, first: str
+) -> tuple[list[ComparedQuantity], list[Notice]]:
+    """Return all compared quantities with one sign of each element, and notices of conventions."""
+    compared = [one for group in groups for one in _both_quantities(group, method, first, {})]
+    conventions = list(opposite_conventions(compared))
+    opposite_sign = opposite_signs(compared, list(dict.fromkeys(name for group in groups for name in group.names)))
+    if opposite_sign:
+        compared = [one for group in groups for one in _both_quantities(group, method, first, opposite_sign)]
+    return compared, conventions
+
+
 def _both_quantities(
-    group: Sequence[tuple[str, ComparedValue]],
-    dates: Mapping[str, Date],
-    shared: Sequence[SharedInput],
-    opposite_sign: OppositeSigns,
+    group: ComparedGroup, method: ComparisonMethod, first: str, opposite_sign: OppositeSigns
 ) -> Iterator[ComparedQuantity]:
     """Yield magnitude and, where two results have one, phase of one element at one frequency."""
-    names = opposite_sign.get((group[0][1].channel, group[0][1].component), frozenset())
-    group = [
-        (name, replace(value, phase_rad=value.phase_rad - np.pi))
-        if name in names and value.phase_rad is not None
-        else (name, value)
-        for name, value in group
-    ]
-    yield _compared(group, "magnitude", dates, shared, names)
-    with_phase = [entry for entry in group if entry[1].phase_rad is not None]
-    if len(with_phase) > 1:
-        yield _compared(with_phase, "phase", dates, shared, names)
+    names = opposite_sign.get((group.values[0].channel, group.values[0].component), frozenset())
+    values = tuple(
+        replace(value, phase_rad=value.phase_rad - np.pi) if name in names and value.phase_rad is not None else value
+        for name, value in zip(group.names, group.values, strict=True)
+    )
+    yield _compared(replace(group, values=values), "magnitude", method, first, names)
+    phased = [n for n, value in enumerate(values) if value.phase_rad is not None]
+    if sum(group.participants[n].round == first for n in phased) > 1:
+        acting = tuple((item, effect[phased]) for item, effect in group.acting)
+        with_phase = ComparedGroup(tuple(group.names[n] for n in phased), tuple(values[n] for n in phased), acting)
+        yield _compared(with_phase, "phase", method, first, names)
 
 
 def _compared(
-    group: Sequence[tuple[str, ComparedValue]],
-    quantity: str,
-    dates: Mapping[str, Date],
-    shared: Sequence[SharedInput],
-    opposite_sign: frozenset[str],
+    group: ComparedGroup, quantity: str, method: ComparisonMethod, first: str, opposite_sign: frozenset[str]
 ) -> ComparedQuantity:
     """Return reference value, E_n and drift of one quantity; phases are unwrapped."""
-    names, values = tuple(name for name, _ in group), [value for _, value in group]
+    names, values = group.names, group.values
     if quantity == "magnitude":
         value, u = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
     else:
@@ -216,13 +351,14 @@ def _compared(
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
         u = np.array([v.u_phase_rad for v in values])
     column, size = (0, value) if quantity == "magnitude" else (1, None)
-    every = select_acting_inputs(group, shared)
-    acting = [(item, effect) for item, effect in every if np.count_nonzero(effect[:, column]) > 1]
+    acting = [(item, effect) for item, effect in group.acting if np.count_nonzero(effect[:, column]) > 1]
     relative = np.array([effect[:, column] for _, effect in acting]).reshape(-1, len(u))
     (covariance, effects), change = covariance_of(relative, u, size), None
-    year = np.array([year_of(dates[name]) if name in dates else v.year for name, v in group])
+    proven = [item.proven for item, _ in acting]
+    year = np.array([v.year for v in values])
     if np.isfinite(year).all() and len(np.unique(year)) > 1:
         change = drift(year, value, covariance)
+    reference = median_reference if method.reference == "median" else reference_value
     return ComparedQuantity(
         frequency_hz=float(np.mean([v.frequency_hz for v in values])),
         channel=values[0].channel,
@@ -234,11 +370,11 @@ def _compared(
         value=value,
         u=u,
         covariance=covariance,
-        shared=tuple(item for item, _ in acting),
-        effects=effects,
-        reference=reference_value(value, covariance),
+        shared=tuple(item for item, _ in acting if item.proven),
+        effects=effects[proven],
+        reference=reference(value, covariance, sum(p.round == first for p in group.participants)),
         normalised=normalised_error(value, covariance),
-        complex_normalised=_complex_errors(values, every) if quantity == "magnitude" else None,
+        complex_normalised=_complex_errors(values, group.acting) if quantity == "magnitude" else None,
         year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
@@ -276,6 +412,29 @@ def _notices(
     if unmatched:
         found.append(Notice(declared.UNMATCHED_VALUES, "comparison", count=len(unmatched)))
     return found
+
+
+def _about_artefacts(stability: Sequence[ArtefactStability], links: Sequence[RoundLink]) -> Iterator[Notice]:
+    """Yield notices of drifting artefacts, and of linking laboratories that contradict each other."""
+    elements: dict[tuple[str, str, str], list[ArtefactStability]] = {}
+    for one in stability:
+        elements.setdefault((one.laboratory, one.value.channel, one.value.component), []).append(one)
+    for (laboratory, channel, component), found in elements.items():
+        if min(one.p for one in found) >= SIGNIFICANCE / len(found):
+            continue  # one value in twenty drifts by chance (Bonferroni); the table lists it
+        for notice, removed in ((declared.DRIFT_REMOVED, True), (declared.DRIFT_NOT_REMOVED, False)):
+            count = sum(one.p < SIGNIFICANCE and one.removed is removed for one in found)
+            if count:
+                of = {"laboratory": laboratory, "channel": channel, "component": component}
+                yield Notice(notice, "comparison", **of, count=count, points=len(found))
+    rounds: dict[tuple[str, str, str], list[float]] = {}
+    for link in links:
+        if np.isfinite(link.p):
+            rounds.setdefault((link.round, link.value.channel, link.value.component), []).append(link.p)
+    for (name, channel, component), p in rounds.items():
+        if min(p) < SIGNIFICANCE / len(p):
+            of = {"round": name, "channel": channel, "component": component}
+            yield Notice(declared.LINKS_INCONSISTENT, "comparison", **of, p=min(p), count=len(p))
 
 
 def _about_kinds(

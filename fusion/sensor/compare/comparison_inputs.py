@@ -74,10 +74,10 @@ class ComparedValue:
 class ComparedResult:
     """A result to be compared, with its values and their evidence.
 
-    `date` of a certificate. `notices`: on its signature, or on its uncertainties. `repeats`: most rows at one frequency
-    of a table, which are averaged. `responses`: number of ratios left out because the output does
-    not belong to the driven load. The effect of other loads on such an output is as large as the output itself, and
-    differs between rigs.
+    `date` and `certificate` (number) of a certificate. `notices`: on its signature, or on its uncertainties.
+    `repeats`: most rows at one frequency of a table, which are averaged. `responses`: number of ratios left out because
+    the output does not belong to the driven load. The effect of other loads on such an output is as large as the output
+    itself, and differs between rigs.
     """
 
     name: str
@@ -88,6 +88,7 @@ class ComparedResult:
     notices: tuple[Notice, ...] = ()
     repeats: int = 1
     responses: int = 0
+    certificate: str = ""
 
 
 def result_file(path: Path) -> Path:
@@ -309,7 +310,8 @@ def _certified(name: str, file: Path) -> ComparedResult:
     if not values:
         expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
         raise InputError(declared.WRONG_CERTIFIED_RESULT, file, "dcc:results", found="none", expected=expected)
-    return ComparedResult(name, file, tuple(values), certificate.date, notices=certificate.signature_notices)
+    notices = certificate.signature_notices
+    return ComparedResult(name, file, tuple(values), certificate.date, notices=notices, certificate=certificate.number)
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> ComparedValue:

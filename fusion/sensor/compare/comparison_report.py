@@ -18,9 +18,17 @@ from fusion.report.figure import COLOURS, GREY, RED, Figure, empty_figure, frequ
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
 from fusion.report.table import Headline, TableColumn, csv_text, finite_or_none, page_column, table, text_column
-from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
+from fusion.sensor.compare import draft_report
+from fusion.sensor.compare.comparison_evaluation import (
+    PROCEDURE_A,
+    ComparedQuantity,
+    ComparisonEvaluation,
+    ComparisonMethod,
+    evaluate_comparison,
+)
 from fusion.sensor.compare.comparison_inputs import ComparedResult, read_result, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
+from fusion.sensor.compare.linking import Participant
 from fusion.sensor.compare.named_tables import read_tables
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
 from shakercal._common.digits import number_text, quantity_text, signed_text, small
@@ -84,12 +92,12 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
     for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
         of_quantity = [found for found in _main(evaluation) if found.quantity == quantity]
         panel.span(-1.0, 1.0, "covered by U", colour=GREY)
-        for index, result in enumerate(evaluation.results):
-            of_result = [found for found in of_quantity if result.name in found.names]
+        for index, name in enumerate(evaluation.laboratories):
+            of_result = [found for found in of_quantity if name in found.names]
             if of_result:
                 x = np.array([f.frequency_hz for f in of_result])
-                y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
-                panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
+                y = np.array([f.reference.normalised[f.names.index(name)] for f in of_result])
+                panel.points(x, y, name, colour=COLOURS[index % len(COLOURS)], size=4.0)
         panel.rule([-1.0, 1.0], "limits ±1", colour=RED, dashed=True, width=1.0)
         normalised = [found.reference.normalised for found in of_quantity]
         reach = float(np.nanmax(np.abs(np.concatenate([[1.0], *normalised]))))
@@ -98,7 +106,7 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
     text = "Deviation from the reference value over its expanded uncertainty; within the band U covers it."
-    return drawn.with_title("Deviations from the reference value", text, main=True)
+    return drawn.with_title("Deviations from the reference value", text)
 
 
 def _largest_text(found: ComparedQuantity) -> str:
@@ -137,8 +145,8 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
             dates = line.year + 0.006 * index * span
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
-                band = 2.0 * factor * line.reference.u
-                panel.span(-band, band, label, colour=colour, opacity=0.08)  # bands overlap
+                low, high = (factor * (end - line.centre) for end in line.reference.interval)
+                panel.span(low, high, label, colour=colour, opacity=0.08)  # bands overlap
             panel.points(dates, deviation, label, half_y=expanded, colour=colour, size=4.0, names=tuple(line.names))
             reach += [deviation + expanded, deviation - expanded]
         panel.rule(0.0, colour=GREY)
@@ -171,11 +179,13 @@ def _reference_text(found: ComparedQuantity) -> str:
     reference = found.reference
     if not reference.used.any():
         return "none, results are contradictory"
-    return quantity_text(reference.value, 2.0 * reference.u, found.unit)
+    return quantity_text(reference.value, reference.expanded_value, found.unit)
 
 
 def _left_out(found: ComparedQuantity) -> str:
-    return ", ".join(name for name, used in zip(found.names, found.reference.used, strict=True) if not used) or "none"
+    rounds = [Participant.of(name).round for name in found.names]
+    entries = zip(found.names, rounds, found.reference.used, strict=True)
+    return ", ".join(name for name, of, used in entries if of == rounds[0] and not used) or "none"
 
 
 def _source(result: ComparedResult) -> str:
@@ -192,6 +202,9 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         page_column("reference ± U", _reference_text),
         page_column("p of consistency", lambda f: f"{f.reference.p:.3f}"),
         page_column("left out", _left_out, "l"),
+    ]
+    largest = [
+        *columns[:3],
         page_column("largest E_n of a pair", lambda f: signed_text(f.largest)),
         page_column("of complex values", _largest_text),
     ]
@@ -209,14 +222,23 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     ]
     single: list[TableColumn[Any]] = [
         page_column("result", lambda entry: entry[0], "l"),
-        page_column("element", lambda entry: f"{entry[1].channel} per {entry[1].component}", "l"),
-        page_column("frequency / Hz", lambda entry: f"{entry[1].frequency_hz:.4f}"),
+        *draft_report.element_columns(lambda entry: entry[1]),
     ]
     dated = [found for found in evaluation.quantities if found.per_year is not None]
     return {
         "subject": [("Results", ", ".join(map(_source, evaluation.results)))],
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
-        "figures": [draw_normalised(evaluation)],
+        "figures": [draft_report.draw_equivalence(evaluation, _main(evaluation))],
+        "conclusions": draft_report.conclusions(evaluation),
+        "participants": draft_report.participants(evaluation),
+        "artefact": draft_report.artefact(evaluation),
+        "linked": bool(evaluation.links),
+        "stated": draft_report.stated(evaluation),
+        "median": evaluation.method.reference == "median",
+        "equivalence": draft_report.equivalence(evaluation),
+        "pairs": draft_report.pairs(evaluation),
+        "consistency": [draw_normalised(evaluation)],
+        "largest": table("Largest E_n of pairs", largest, evaluation.quantities),
         "charts": draw_charts(evaluation),
         "shared": table("Shared inputs", common, list(titles)),
         "drift": table("Drift, U: k = 2", changes, dated),
@@ -245,7 +267,7 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
         of_quantity = [found for found in evaluation.quantities if found.quantity == quantity]
         if of_quantity:
             above = sum(found.largest > 1.0 for found in of_quantity)
-            left = sum(not found.reference.used.all() for found in of_quantity)
+            left = sum(_left_out(found) != "none" for found in of_quantity)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
             opposite_sign = dict.fromkeys(name for found in of_quantity for name in found.opposite_sign)
             if opposite_sign and quantity == "phase":
@@ -263,6 +285,9 @@ def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
         group = file.create_group(f"comparison/{number}")
         for name in (*IN_FILE, "covariance", "normalised", "year"):
             write_value(group, name, getattr(found, name))
+        for name, matrix in zip(("difference", "U_difference"), found.differences, strict=True):
+            write_value(group, name, matrix)
+        write_value(group, "reference_interval", np.array(found.reference.interval))
         write_value(group, "shared", list_titles(found.shared))
         if found.complex_normalised is not None:
             write_value(group, "complex_normalised", found.complex_normalised)
@@ -286,12 +311,13 @@ def run_compare(
     dates: Sequence[str] = (),
     tolerance: float = 1e-3,
     columns: Path | None = None,
+    method: ComparisonMethod = PROCEDURE_A,
     *,
     force: bool = False,
 ) -> None:
-    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary.
+    """Compare results, each `PATH` or `[ROUND/]NAME[@DATE]=PATH`; write results and print the summary.
 
-    `columns` is a file with the columns of tables of others.
+    `dates` are `NAME=YYYY-MM-DD`. `columns` is a file with the columns of tables of others.
     """
     named: dict[str, Path] = {}
     for text in inputs:
@@ -302,7 +328,8 @@ def run_compare(
             raise InputError(WRONG_COMPARISON_OPTION, path, found=name, expected="NAME=PATH with unique names")
         named[name] = path
     days: dict[str, Date] = {}
-    for text in dates:
+    stated = [f"{name}={Participant.of(name).day}" for name in named if Participant.of(name).day]
+    for text in (*stated, *dates):
         name, _, day = text.partition("=")
         if name not in named:
             expected = f"one of the names {', '.join(named)}"
@@ -320,4 +347,6 @@ def run_compare(
     root = Path(os.path.commonpath([file.resolve().parent for file in inputs_read]))
     files = hash_files(inputs_read, root)
     folder = Path("comparison") if output is None else output
-    COMPARE.run(files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes), force=force)
+    COMPARE.run(
+        files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes, method), force=force
+    )

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
-from fusion.estimation.coverage import along_and_across, region_factor
+from fusion.estimation.coverage import COVERAGE, along_and_across, region_factor
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue
 from shakercal._common.arrays import ComplexArray, FloatArray
@@ -28,6 +28,8 @@ class SharedInput:
     of: str
     evidence: str
     unknowns: Mapping[str, str]
+    proven: bool = True
+    """Whether a certificate or file states it; otherwise it is the error of a result that the evaluation uses twice."""
 
     @property
     def title(self) -> str:
@@ -202,16 +204,24 @@ MAX_RESULTS = 12
 """Largest number of results of one element at one frequency, since all their subsets are tried."""
 
 
+MEDIAN_DRAWS = 50_000
+"""Monte Carlo draws of the median: its coverage interval then has two significant digits (JCGM 101, 7.2)."""
+MEDIAN_SEED = 589
+"""Seed of these draws, so that equal inputs have equal results."""
+
+
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Weighted mean of the results `used` (N,), and deviations of all results.
+    """Reference value of the results `used` (N,), and degrees of equivalence of all results.
 
-    `deviation` (N,) with `expanded` U, k = 2. `p`: probability of a χ² at least as large as that of the used results.
-    If no two results are consistent, none is used, and all numbers but `p` are NaN.
+    `deviation` (N,) with `expanded` U, k = 2 of a mean, 95 % of the draws of a median. `interval`: 95 % coverage
+    interval of the value. `p`: probability of a χ² at least as large as that of the used results. If no two results are
+    consistent, none is used, and all numbers but `p` are NaN.
     """
 
     value: float
     u: float
+    interval: tuple[float, float]
     chi_squared: float
     dof: int
     p: float
@@ -220,22 +230,28 @@ class ReferenceValue:
     expanded: FloatArray
 
     @property
+    def expanded_value(self) -> float:
+        """U of the value: half of its coverage interval."""
+        return 0.5 * (self.interval[1] - self.interval[0])
+
+    @property
     def normalised(self) -> FloatArray:
         """E_n of every result; NaN if it alone defines the reference value."""
         uncertain = self.expanded > 0.0
         return np.asarray(np.where(uncertain, self.deviation / np.where(uncertain, self.expanded, 1.0), np.nan))
 
 
-def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return E_n (N, N) of pairs of results, with their correlations.
-
-    (x_i - x_j) / U(x_i - x_j), k = 2; 0 on the diagonal.
-    """
+def pair_differences(value: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return differences x_i - x_j (N, N) of pairs, and their U (k = 2)."""
     variance = np.diag(covariance)
     spread = variance[:, None] + variance[None, :] - 2.0 * covariance
-    u = np.sqrt(np.maximum(spread, 0.0))
-    difference = value[:, None] - value[None, :]
-    return np.asarray(np.where(u > 0.0, difference / (COVERAGE_FACTOR * np.where(u > 0.0, u, 1.0)), 0.0))
+    return value[:, None] - value[None, :], COVERAGE_FACTOR * np.sqrt(np.maximum(spread, 0.0))
+
+
+def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return E_n (N, N) of pairs of results, with their correlations; 0 on the diagonal."""
+    difference, expanded = pair_differences(value, covariance)
+    return np.asarray(np.where(expanded > 0.0, difference / np.where(expanded > 0.0, expanded, 1.0), 0.0))
 
 
 def complex_normalised_error(
@@ -249,9 +265,14 @@ def complex_normalised_error(
     phases, from which C follows.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
-    roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
+    size = np.abs(value)[:, None]
+    variance = np.column_stack([u_magnitude, size[:, 0] * u_phase_rad]) ** 2
+    # A shared input correlates magnitude and phase of one result, too.
+    individual = variance - sum(((effect * size) ** 2 for effect in shared), np.zeros_like(variance))
+    roots = frame * np.sqrt(np.maximum(individual, 0.0))[:, None, :]
+    common = [np.einsum("nij,nj->ni", frame, effect * size) for effect in shared]
     covariances = roots @ roots.swapaxes(-1, -2)
-    common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
+    covariances += sum((c[:, :, None] * c[:, None, :] for c in common), np.zeros_like(covariances))
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
         spread = covariances[i] + covariances[j]
@@ -273,13 +294,14 @@ def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, flo
     return mean, float(total**-0.5), weights, float(left @ np.linalg.solve(covariance, left))
 
 
-def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue:
-    """Return the reference value of N results with covariance (N, N).
+def reference_value(value: FloatArray, covariance: FloatArray, count: int | None = None) -> ReferenceValue:
+    """Return the weighted mean of the first `count` (default: all) of N results.
 
-    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not reject it at 5 %. Otherwise that of the
-    largest consistent subset, among equal ones that of the smallest χ² (Cox, Metrologia 44 (2007) 187).
+    `covariance` (N, N) of the results. Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not
+    reject it at 5 %. Otherwise that of the largest consistent subset, among equal ones that of the smallest χ² (Cox,
+    Metrologia 44 (2007) 187). The other results, which are linked, have degrees of equivalence only.
     """
-    count = len(value)
+    every, count = len(value), len(value) if count is None else count
     if not 2 <= count <= MAX_RESULTS:
         raise ValueError(f"value: expected 2 to {MAX_RESULTS} results, found {count}")
     tried = []
@@ -293,17 +315,51 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue
         if tried[-1] >= SIGNIFICANCE:
             break
     else:
-        unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
-        return ReferenceValue(np.nan, np.nan, np.nan, 0, tried[0], none, unknown, unknown)
+        unknown, none = np.full(every, np.nan), np.zeros(every, dtype=np.bool_)
+        return ReferenceValue(np.nan, np.nan, (np.nan, np.nan), np.nan, 0, tried[0], none, unknown, unknown)
     indices, p = np.array(subset), tried[-1]
     mean, u, inner, squared = weighted_mean(value[indices], covariance[np.ix_(indices, indices)])
-    weights = np.zeros(count)
+    weights = np.zeros(every)
     weights[indices] = inner
-    transform = np.eye(count) - weights  # deviations x_i - w.x, row by row
+    transform = np.eye(every) - weights  # deviations x_i - w.x, row by row
     variance = np.einsum("ij,jk,ik->i", transform, covariance, transform)
     expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
-    expanded[expanded < 1e-9 * np.sqrt(np.diag(covariance))] = 0.0
-    return ReferenceValue(mean, u, squared, size - 1, p, np.isin(np.arange(count), indices), value - mean, expanded)
+    expanded[expanded < 1e-9 * np.sqrt(np.diag(covariance))] = 0.0  # one that alone defines the value
+    interval = mean - COVERAGE_FACTOR * u, mean + COVERAGE_FACTOR * u
+    used = np.isin(np.arange(every), indices)
+    return ReferenceValue(mean, u, interval, squared, size - 1, p, used, value - mean, expanded)
+
+
+def median_reference(value: FloatArray, covariance: FloatArray, count: int | None = None) -> ReferenceValue:
+    """Return the median of the first `count` (default: all) of N results.
+
+    `covariance` (N, N) of the results. Cox, Metrologia 39 (2002) 589, procedure B: all results are used. Value and u
+    are mean and standard deviation of the medians of Monte Carlo draws, the interval is the shortest that contains 95 %
+    of them. U of a deviation covers 95 % of its draws. χ² is that of the weighted mean.
+    """
+    every, count = len(value), len(value) if count is None else count
+    u = np.sqrt(np.diag(covariance))
+    normal = np.random.default_rng(MEDIAN_SEED).standard_normal((MEDIAN_DRAWS, every))
+    variances, vectors = np.linalg.eigh(covariance / np.outer(u, u))
+    errors = u * (normal * np.sqrt(np.maximum(variances, 0.0)) @ vectors.T)
+    medians = np.median(value[:count] + errors[:, :count], axis=1)
+    centre, ordered = float(medians.mean()), np.sort(medians)
+    inside = int(COVERAGE * MEDIAN_DRAWS)
+    begin = int(np.argmin(ordered[inside:] - ordered[:-inside]))
+    deviation = value - centre
+    spread = np.abs(value + errors - medians[:, None] - deviation)
+    squared = weighted_mean(value[:count], covariance[:count, :count])[3]
+    return ReferenceValue(
+        centre,
+        float(medians.std()),
+        (float(ordered[begin]), float(ordered[begin + inside])),
+        squared,
+        count - 1,
+        float(chdtrc(count - 1.0, max(squared, 0.0))),
+        np.arange(every) < count,
+        deviation,
+        np.quantile(spread, COVERAGE, axis=0),
+    )
 
 
 def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:
