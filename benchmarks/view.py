@@ -6,9 +6,9 @@ Makes a recording of noise in a temporary folder: pictures of 1280 x 1024 px at 
 at 51.2 kHz in HDF5. Its server is asked over HTTP as the page asks it: both pictures and subsets of a frame at once;
 all channels between two random times, in 1200 columns. Printed: median, 95 % quantile and largest answer in ms and the
 first one (which reads the files and makes the extremes), with --docs into performance.md there; and the memory of the
-extremes over that of the samples as float64. With --browser (Playwright drives it): from the moved slider until both images are
-drawn: the next frame, as while dragging, and any other one; whole and zoomed; with a field over both. The field is the
-demo's, whose points are moved to the same share of the larger pictures.
+extremes over that of the samples as float64. With --browser (Playwright drives it): from the moved slider until both
+images are drawn: the next frame, as while dragging, and any other one; whole and zoomed; with a field over both. The
+field is the demo's, whose points are moved to the same share of the larger pictures.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class FieldViews:
         return self._fields.get(self._views.pairs[number].stated.stereo)
 
     def description(self, number: int) -> Mapping[str, Any]:
-        """Return the lines and the quantities of a pair's field, as in the report; neither without results."""
+        """Return lines and quantities of a pair's field as in the report, empty without results."""
         field = self._field(number)
         if field is None:
             return {}
