@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import socket
+import struct
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -394,3 +396,13 @@ def test_the_next_frames_are_asked_for_in_the_direction_of_the_slider_and_once_e
         page.wait_for_timeout(300)
         assert not {9, 10, 11, 12} & set(asked[count:])
         assert len(asked) == len(set(asked))
+
+
+def test_a_page_that_is_closed_meanwhile_is_no_error(demo_recording, capfd):
+    with served(demo_recording) as client:
+        for sent in (b"", b"GET /"):
+            with socket.create_connection(("127.0.0.1", client.server.server_port)) as connection:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # close: a reset
+                connection.sendall(sent)
+        assert client.ask("sources")["recordings"]
+    assert capfd.readouterr().err == ""

@@ -6,6 +6,7 @@ import json
 import os
 import secrets
 import shutil
+import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable, Mapping
@@ -68,6 +69,11 @@ class Server(ThreadingHTTPServer):
             found = error.strerror or str(error)
             raise InputError(PORT_IN_USE, "--port", found=f"{port} ({found})", expected="a free port") from error
         self.hosts = {f"{name}:{self.server_port}" for name in (LOOPBACK, "localhost")}
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error; a page that was closed meanwhile is none."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:

@@ -16,7 +16,7 @@ const fieldCanvas = (() => {
 
   function make(canvas, image, field) {
     const [width, height] = field.size, points = field.points, triangles = field.triangles, pen = canvas.getContext("2d");
-    const count = points.length / 2, pixels = [], corner = [], weight = [], taken = new Uint8Array(width * height);
+    const count = points.length / 2, within = [], corners = [], weights = [], taken = new Uint8Array(width * height);
     canvas.width = width; canvas.height = height;
     for (let t = 0; t < triangles.length; t += 3) { // pixels inside each triangle, with their weights
       const [a, b, c] = [0, 1, 2].map(k => triangles[t + k]), [ax, ay] = [points[2 * a], points[2 * a + 1]];
@@ -28,10 +28,11 @@ const fieldCanvas = (() => {
         for (let x = Math.max(0, Math.ceil(Math.min(...xs))); x <= Math.min(width - 1, Math.max(...xs)); x++) {
           const q = ((x - ax) * vy - (y - ay) * vx) / area, r = (ux * (y - ay) - uy * (x - ax)) / area;
           if (q < -1e-9 || r < -1e-9 || q + r > 1 + 1e-9 || taken[y * width + x]) continue;
-          taken[y * width + x] = 1; pixels.push(y * width + x); corner.push(a, b, c); weight.push(1 - q - r, q, r);
+          taken[y * width + x] = 1; within.push(y * width + x); corners.push(a, b, c); weights.push(1 - q - r, q, r);
         }
       }
     }
+    const pixels = Int32Array.from(within), corner = Int32Array.from(corners), weight = Float64Array.from(weights);
     let plain = null;
     function background() {
       if (!image) return new ImageData(width, height);
