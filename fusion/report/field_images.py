@@ -114,25 +114,15 @@ def _figure(
     """Return the figure of a pair and its quantities."""
     small, scale = reduced_image(image)
     total, pair = len(pair.points_px), pair.without_points(decimate_points(pair.points_px, pair.subset_px))
-    points = scale * (pair.points_px + 0.5) - 0.5
     at = [int(np.argmin(np.abs(pair.frequency_hz - hertz))) for hertz in lines]
     found = [(abs(pair.frequency_hz[k] - hertz) < 0.01 * hertz, k) for k, hertz in zip(at, lines, strict=True)]
     each = [field_quantities(pair, k) if present else [] for present, k in found]
     first = next(quantities for quantities in each if quantities)
+    points = pair.points_px
     scaling = value_scale(first[0].amplitude, first[0].expanded, first[0].unit)
-    colours = overlay(small, points, pair.triangles, first[0].amplitude, scaling)
+    colours = overlay(small, reduced_points(points, scale), pair.triangles, first[0].amplitude, scaling)
     low, high = scale_ends(scaling)
-    data = {
-        "name": pair.name,
-        "size": [small.shape[1], small.shape[0]],
-        "scale": scale,
-        "side": round(scale * pair.subset_px, 2),
-        "points": _coded(np.round(points, 2)),
-        "triangles": pair.triangles.ravel().tolist(),
-        "quantities": [_quantity(one, [_line(quantities, one.key) for quantities in each]) for one in first],
-        "colours": {"size": COLOURS["viridis"], "sign": COLOURS["RdBu"], "phase": PHASE_COLOURS},
-        "opacity": OPACITY,
-    }
+    data = {"name": pair.name} | encode_field(pair, each) | encode_points(points, pair.subset_px, scale, small.shape)
     figure = FieldFigure(
         name=pair.name,
         body=pair.body,
@@ -150,6 +140,38 @@ def _figure(
         json=htmlsafe_json_dumps(data, separators=(",", ":")),
     )
     return figure, first
+
+
+def encode_field(pair: PairField, each: Sequence[Sequence[FieldQuantity]]) -> dict[str, Any]:
+    """Return the quantities of a field for `templates/fields.js`.
+
+    `each`: those of each line, empty for a line that the pair does not have.
+    """
+    first = next(quantities for quantities in each if quantities)
+    return {
+        "triangles": pair.triangles.ravel().tolist(),
+        "quantities": [_quantity(one, [_line(quantities, one.key) for quantities in each]) for one in first],
+        "colours": {"size": COLOURS["viridis"], "sign": COLOURS["RdBu"], "phase": PHASE_COLOURS},
+        "opacity": OPACITY,
+    }
+
+
+def encode_points(points_px: FloatArray, subset_px: float, scale: float, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Return points (N, 2) of a camera's image for `templates/fields.js`.
+
+    `scale`: pixels of the drawn image, of `shape` (h, w), per camera pixel.
+    """
+    return {
+        "size": [shape[1], shape[0]],
+        "scale": scale,
+        "side": round(scale * subset_px, 2),
+        "points": _coded(np.round(reduced_points(points_px, scale), 2)),
+    }
+
+
+def reduced_points(points_px: FloatArray, scale: float) -> FloatArray:
+    """Return points (N, 2) in pixels of a reduced image."""
+    return scale * (points_px + 0.5) - 0.5
 
 
 def _line(quantities: Sequence[FieldQuantity], key: str) -> FieldQuantity | None:

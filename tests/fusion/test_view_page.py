@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import socket
+import struct
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -11,13 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 import tifffile
 
 from fusion.planning.planning_notices import RECORDING_CHANGED
 from fusion.recording.load import load_manifest
+from fusion.report.field_data import field_quantities, read_pair_fields
 from fusion.report.figure import PURPLE, SOURCE_COLOUR
+from fusion.report.recording_report import write_results
+from fusion.report.report_notices import OTHER_STRUCTURE
 from tests.fusion.test_view import Client, served
 
 SIZE = (304, 240)  # px of the demo's images
@@ -60,6 +66,13 @@ def opened(browser: Any) -> Iterator[Callable[..., Any]]:
 @pytest.fixture
 def campaign(tmp_path: Path, demo_recording: Path) -> Path:
     return Path(shutil.copytree(demo_recording, tmp_path / "demo"))
+
+
+@pytest.fixture(scope="module")
+def results(demo_evaluation: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fields") / "Fz-0080"
+    write_results(demo_evaluation, folder)
+    return folder
 
 
 def seen(page: Any, side: str = "left") -> np.ndarray:
@@ -254,3 +267,142 @@ def test_the_logarithmic_axis_begins_at_zero(demo_recording, opened):
         until(page, "view.spectrum.source.data.x.length < 40")
         x, y = page.evaluate("[view.spectrum.source.data.x, view.spectrum.source.data.y]")
         assert abs(x[int(np.argmax(y))] - 80.0) < step
+
+
+# The field of the results over the images.
+
+
+def displacement_m(results: Path, frame: int) -> np.ndarray:
+    """Return the displacement (N,) along z in a frame, by the stored phasors: Re{(t + r × x + rest) exp(jωt)}."""
+    with h5py.File(results / "result.h5") as file:
+        group = file["stereo/top"]
+        line = int(np.argmin(np.abs(group["phasors/frequency_hz"][()] - 80.0)))
+        rigid, at = group["phasors/value"][line], group["deflection/reference_m"][()]
+        phasor = rigid[2] + np.cross(rigid[3:], at)[:, 2] + group["deflection/value"][line, :, 2]
+        turn = np.exp(2j * np.pi * group["phasors/frequency_hz"][line] * group["time_s"][frame])
+    return np.asarray((phasor * turn).real)
+
+
+def choose_field(page: Any, key: str, frame: int) -> None:
+    page.select_option("#field", key)
+    page.locator("#frame").fill(str(frame))
+    page.wait_for_selector(f"body[data-field='{key} {frame}']")
+
+
+def probed(page: Any, x: float, y: float) -> re.Match[str]:
+    """Point at a pixel of the left image and return what is shown of its subset: position, value, U."""
+    box = page.locator("#left").bounding_box()
+    factor = box["width"] / SIZE[0]
+    page.mouse.move(box["x"] + (x + 0.5) * factor, box["y"] + (y + 0.5) * factor)
+    found = re.match(r"Subset at \((\d+), (\d+)\) px: (\S+) ± (\S+) µm", page.inner_text("#field-probe"))
+    assert found is not None
+    return found
+
+
+def test_the_probe_shows_the_motion_of_the_results_in_every_frame(results, demo_recording, opened):
+    """The value is that of the stored phasors; the poses tracked frame by frame, which no line describes, agree."""
+    with h5py.File(results / "result.h5") as file:
+        points, poses = file["stereo/top/subsets_px"][()], file["stereo/top/motion/pose"][()]
+        reference, origin = file["stereo/top/deflection/reference_m"][()], file["stereo/top/motion/origin_m"][()]
+    point = int(np.argmin(np.linalg.norm(points - [150, 120], axis=1)))
+    tracked = poses[:, 2] + np.cross(poses[:, 3:], reference[point] - origin)[:, 2]
+    with served(results, demo_recording) as client:
+        page = opened(client)
+        shown = []
+        for frame in (0, 3, 7, 15):
+            choose_field(page, "d-z", frame)
+            x, y, value, expanded = probed(page, *points[point]).groups()
+            assert np.hypot(float(x) - points[point, 0], float(y) - points[point, 1]) < 1.0
+            shown.append(1e-6 * float(value.replace("\N{MINUS SIGN}", "-")))
+            np.testing.assert_allclose(shown[-1], displacement_m(results, frame)[point], atol=0.06e-6)
+            assert 0.1 < float(expanded) < 5.0
+        np.testing.assert_allclose(np.diff(shown), np.diff(tracked[[0, 3, 7, 15]]), atol=0.01 * np.ptp(tracked))
+        page.select_option("#field-view", "size")
+        until(page, "document.getElementById('field-probe').value.includes('phase')")
+        assert float(page.inner_text("#field-probe").split(": ")[1].split(" ±")[0]) >= 1e6 * np.ptp(tracked) / 2 * 0.98
+        page.locator("#left").focus()
+        page.keyboard.press("Shift+ArrowRight")
+        until(page, f"!document.getElementById('field-probe').value.includes('({x}, {y})')")
+        assert page.evaluate("document.body.dataset.frame") == "15"
+
+
+def test_the_viewer_offers_the_quantities_of_the_report_over_both_images(results, demo_recording, opened):
+    with h5py.File(results / "result.h5") as file:
+        (field,) = [one for one in read_pair_fields(file) if one.name == "top"]
+    with served(results, demo_recording) as client:
+        page = opened(client)
+        plain = [seen(page, side) for side in ("left", "right")]
+        listed = page.evaluate(
+            "[...document.querySelectorAll('#field option')].map((one) => [one.value, one.textContent])"
+        )
+        quantities = field_quantities(field, field.main_line)
+        assert listed == [["", "none"], *([one.key, one.label] for one in quantities)]
+        choose_field(page, "d-z", 0)
+        low, high = page.inner_text("#field-low"), page.inner_text("#field-high")
+        assert high.endswith(" µm")
+        assert low == f"\N{MINUS SIGN}{high.removesuffix(' µm')}"
+        largest = 1e6 * np.abs(field.displacement(field.main_line)[:, 2]).max()
+        assert float(high.removesuffix(" µm")) == pytest.approx(largest, rel=0.02)
+        for side, before in zip(("left", "right"), plain, strict=True):
+            changed = np.abs(seen(page, side).astype(int) - before).mean(axis=0) > 5
+            assert 0.5 < changed.mean() < 1.0
+        # In the right image the points are where the subsets of the first frame are.
+        answer, subsets = client.ask("field", pair=0, line=field.main_line), client.ask("subsets", pair=0, frame=0)
+        points = np.frombuffer(b64decode(answer["cameras"][1]["points"]), "<f4").reshape(-1, 2)
+        np.testing.assert_allclose(points, np.array(subsets["right"], dtype=float), atol=0.5)
+        page.select_option("#field", "")
+        until(page, "document.body.dataset.field === ''")
+        assert page.is_hidden("#field-scale")
+
+
+def test_without_results_no_field_is_offered(demo_recording, opened):
+    with served(demo_recording) as client:
+        page = opened(client)
+        assert page.is_hidden("#field-tools")
+        assert "error" in client.ask("field", pair=0, line=0)
+
+
+def test_unreadable_fields_are_named_and_the_images_are_shown(results, demo_recording, tmp_path, opened):
+    broken = shutil.copytree(results, tmp_path / "Fz-0080")
+    with h5py.File(broken / "result.h5", "a") as file:
+        del file["stereo/top/subset_zncc"]
+        file.create_group("stereo/top/subset_zncc")
+    with served(broken, demo_recording) as client:
+        page = opened(client)
+        assert OTHER_STRUCTURE.code in page.text_content("#problems-listed")
+        assert page.is_hidden("#field-tools")
+        assert seen(page).std() > 30
+
+
+def test_the_next_frames_are_asked_for_in_the_direction_of_the_slider_and_once_each(demo_recording, opened):
+    with served(demo_recording) as client:
+        page = opened(client)
+        asked: list[int] = []
+        page.on(
+            "request",
+            lambda request: (
+                asked.append(int(request.url.split("frame=")[1])) if "side=0&frame=" in request.url else None
+            ),
+        )
+        for frame in (12, 11):
+            page.locator("#frame").fill(str(frame))
+            page.wait_for_selector(f"body[data-frame='{frame}']")
+        page.wait_for_timeout(500)
+        assert {10, 9, 8} <= set(asked)
+        count = len(asked)
+        for frame in (10, 9, 11, 12):
+            page.locator("#frame").fill(str(frame))
+            page.wait_for_selector(f"body[data-frame='{frame}']")
+        page.wait_for_timeout(300)
+        assert not {9, 10, 11, 12} & set(asked[count:])
+        assert len(asked) == len(set(asked))
+
+
+def test_a_page_that_is_closed_meanwhile_is_no_error(demo_recording, capfd):
+    with served(demo_recording) as client:
+        for sent in (b"", b"GET /"):
+            with socket.create_connection(("127.0.0.1", client.server.server_port)) as connection:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # close: a reset
+                connection.sendall(sent)
+        assert client.ask("sources")["recordings"]
+    assert capfd.readouterr().err == ""

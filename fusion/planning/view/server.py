@@ -6,6 +6,7 @@ import json
 import os
 import secrets
 import shutil
+import sys
 import tempfile
 import webbrowser
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
+from fusion import report
 from fusion.base import cleanup_on_signal
 from fusion.errors import ComputeError, InputError
 from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
@@ -27,6 +29,7 @@ from fusion.report.atomic_files import write_file
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
+FIELDS = Path(report.__file__).parent / "templates/fields.js"  # of the report as well
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
 # BokehJS inserts its styles as text; scripts are only loaded from files.
@@ -46,7 +49,7 @@ def page_files() -> dict[str, Path]:
     if spec is None or not spec.submodule_search_locations:
         raise ComputeError(BOKEH_MISSING)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
-    return files | {name: scripts / name for name in LIBRARY}
+    return files | {FIELDS.name: FIELDS} | {name: scripts / name for name in LIBRARY}
 
 
 class Server(ThreadingHTTPServer):
@@ -67,6 +70,11 @@ class Server(ThreadingHTTPServer):
             raise InputError(PORT_IN_USE, "--port", found=f"{port} ({found})", expected="a free port") from error
         self.hosts = {f"{name}:{self.server_port}" for name in (LOOPBACK, "localhost")}
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error; a page that was closed meanwhile is none."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
     @property
     def address(self) -> str:
         """Address of the page."""
@@ -80,6 +88,7 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "shakercal", ""
     timeout = 60
+    disable_nagle_algorithm = True  # heads and body are two packets; the second would wait 40 ms for a receipt
 
     def do_GET(self) -> None:
         """Answer one request."""

@@ -139,12 +139,12 @@ class SubsetViews:
         frame = shown.index(frame)
         if not np.isfinite(results.pose[frame]).all():
             return {"told": "No motion was found in this frame."}
-        whole, rigid = (self._seen(number, results.positions_m(frame, rigid=only)) for only in (False, True))
+        whole, rigid = (self.seen(number, results.positions_m(frame, rigid=only)) for only in (False, True))
         sides = {side: _pairs(pixels) for side, pixels in zip(SIDES, whole, strict=False)}
         rest = {side: _pairs(a - b) for side, a, b in zip(SIDES, whole, rigid, strict=False)}
         return {**sides, "residual": rest, "radius": results.radius_px, "told": ""}
 
-    def _seen(self, number: int, points_m: FloatArray) -> list[FloatArray]:
+    def seen(self, number: int, points_m: FloatArray) -> list[FloatArray]:
         """Return the pixels (N, 2) of points (N, 3) in each camera.
 
         Points are in the sensor frame.

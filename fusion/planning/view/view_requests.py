@@ -54,6 +54,9 @@ def api_handlers(viewed: ViewSession) -> ApiHandlers:
             number(query, "pair"), number(query, "side"), (float(query["x"]), float(query["y"]))
         ),
         "track": lambda query: subsets(query).track(number(query, "pair"), number(query, "point")),
+        "field": lambda query: viewed.recording(query).field_views.at_line(
+            number(query, "pair"), number(query, "line")
+        ),
         "signal": lambda query: signal(viewed.recording(query), query),
         "spectrum": lambda query: spectrum(viewed.recording(query), query),
         "lines": lambda query: lines(viewed.recording(query)),
@@ -79,10 +82,11 @@ def description(viewed: ViewedRecording) -> Mapping[str, Any]:
     for number, pair in enumerate(viewed.pairs):
         stated = pair.stated
         shown = {**pair.description, "number": number, "region": stated.region, "mask": stated.mask}
-        try:
-            shown |= viewed.subset_views.description(number)
-        except FAILURES as error:
-            errors.append(notice_of(error, viewed.path))
+        for views in ("subset_views", "field_views"):
+            try:
+                shown |= getattr(viewed, views).description(number)
+            except FAILURES as error:
+                errors.append(notice_of(error, viewed.path))
         pairs.append(shown)
     try:
         lines = next((one.frequency_hz.tolist() for one in viewed.accelerations.values()), [])

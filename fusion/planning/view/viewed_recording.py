@@ -15,6 +15,7 @@ from fusion.planning.check import read_as_command
 from fusion.planning.look.data_checks import fit_trigger_channel
 from fusion.planning.planning_notices import MANIFEST_NEWER, RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
+from fusion.planning.view.field_views import FieldViews
 from fusion.planning.view.readable import ReadableRecording, StatedChannel, notice_of, read_recording, version_of
 from fusion.planning.view.subset_views import SubsetViews
 from fusion.planning.view.view_sources import ViewSource, result_names
@@ -142,6 +143,11 @@ class ViewedRecording:
     def subset_views(self) -> SubsetViews:
         """Its stereo pairs with their stored results."""
         return SubsetViews(self.pairs, self.results, self.frame_times, self.readable.frequencies_hz)
+
+    @cached_property
+    def field_views(self) -> FieldViews:
+        """The fields of its results."""
+        return FieldViews(self.subset_views, self.results)
 
     def frame_times(self, pair: ViewedPair) -> FloatArray | None:
         """Return the times of a pair's frames by their trigger alone.

@@ -1,8 +1,8 @@
 // Values of points as colours over a camera image, interpolated between neighbours. x(t) = Re{X exp(+jωt)}.
 "use strict";
-// Draws { size, points, triangles, side } on a canvas over an image. Coordinates are pixels of the image.
+// Draws { size, points, triangles, side } on a canvas over an image; null: over nothing. Coordinates are pixels of the image.
 const fieldCanvas = (() => {
-  const LEVELS = 256;
+  const LEVELS = 256, DEG = Math.PI / 180;
   const decode = text => new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
   function table(colours) { // red, green, blue between colours at equal steps
     const given = colours.map(c => [1, 3, 5].map(k => parseInt(c.slice(k, k + 2), 16))), out = new Uint8Array(3 * LEVELS);
@@ -16,7 +16,7 @@ const fieldCanvas = (() => {
 
   function make(canvas, image, field) {
     const [width, height] = field.size, points = field.points, triangles = field.triangles, pen = canvas.getContext("2d");
-    const count = points.length / 2, pixels = [], corner = [], weight = [], taken = new Uint8Array(width * height);
+    const count = points.length / 2, within = [], corners = [], weights = [], taken = new Uint8Array(width * height);
     canvas.width = width; canvas.height = height;
     for (let t = 0; t < triangles.length; t += 3) { // pixels inside each triangle, with their weights
       const [a, b, c] = [0, 1, 2].map(k => triangles[t + k]), [ax, ay] = [points[2 * a], points[2 * a + 1]];
@@ -28,24 +28,27 @@ const fieldCanvas = (() => {
         for (let x = Math.max(0, Math.ceil(Math.min(...xs))); x <= Math.min(width - 1, Math.max(...xs)); x++) {
           const q = ((x - ax) * vy - (y - ay) * vx) / area, r = (ux * (y - ay) - uy * (x - ax)) / area;
           if (q < -1e-9 || r < -1e-9 || q + r > 1 + 1e-9 || taken[y * width + x]) continue;
-          taken[y * width + x] = 1; pixels.push(y * width + x); corner.push(a, b, c); weight.push(1 - q - r, q, r);
+          taken[y * width + x] = 1; within.push(y * width + x); corners.push(a, b, c); weights.push(1 - q - r, q, r);
         }
       }
     }
+    const pixels = Int32Array.from(within), corner = Int32Array.from(corners), weight = Float64Array.from(weights);
     let plain = null;
     function background() {
+      if (!image) return new ImageData(width, height);
       pen.drawImage(image, 0, 0, width, height);
       plain ??= pen.getImageData(0, 0, width, height);
       return new ImageData(new Uint8ClampedArray(plain.data), width, height);
     }
     // values (N): NaN leaves a point free. cells: each point as a square, else linear between neighbours.
     function draw({ values, low, high, colours, opacity, cells, levels, mark }) {
-      const shown = background(), out = shown.data, rest = 1 - opacity;
+      const shown = background(), out = shown.data, share = image ? opacity : 1, rest = 1 - share;
       if (!cells) for (let i = 0; i < pixels.length; i++) {
         const k = 3 * i, value = weight[k] * values[corner[k]] + weight[k + 1] * values[corner[k + 1]] + weight[k + 2] * values[corner[k + 2]];
         if (Number.isNaN(value)) continue;
         const at = 4 * pixels[i], colour = 3 * level(value, low, high);
-        for (let c = 0; c < 3; c++) out[at + c] = rest * out[at + c] + opacity * colours[colour + c];
+        for (let c = 0; c < 3; c++) out[at + c] = rest * out[at + c] + share * colours[colour + c];
+        if (!image) out[at + 3] = 255 * opacity;
       }
       pen.putImageData(shown, 0, 0);
       if (cells) for (let i = 0; i < count; i++) {
@@ -56,11 +59,12 @@ const fieldCanvas = (() => {
         pen.globalAlpha = 1;
       }
       if (levels) contours(values, levels);
-      if (mark !== null) {
-        const x = points[2 * mark] + 0.5, y = points[2 * mark + 1] + 0.5, half = field.side / 2;
-        for (const [colour, line] of [["#fff", 4], ["#111", 1.6]]) {
-          pen.strokeStyle = colour; pen.lineWidth = line; pen.strokeRect(x - half, y - half, 2 * half, 2 * half);
-        }
+      if (mark !== null) frame(pen, mark);
+    }
+    function frame(pen, mark, unit = 1) { // around a point, with lines in units of `unit` pixels
+      const x = points[2 * mark] + 0.5, y = points[2 * mark + 1] + 0.5, half = field.side / 2;
+      for (const [colour, line] of [["#fff", 4], ["#111", 1.6]]) {
+        pen.strokeStyle = colour; pen.lineWidth = line * unit; pen.strokeRect(x - half, y - half, 2 * half, 2 * half);
       }
     }
     function contours(values, levels) {
@@ -94,13 +98,9 @@ const fieldCanvas = (() => {
       }
       return best;
     }
-    return { draw, nearest, beside, count };
+    return { draw, frame, nearest, beside, count };
   }
-  return { make, decode, table };
-})();
 
-(() => {
-  const TURN_S = 2.0, STEP = 15, LINES = 9, DEG = Math.PI / 180, KIND = { model: "model of a rigid body", measured: "measured", shapes: "shapes fitted to all pixels", score: "score" };
   const signed = text => text.replace("-", "\u2212");
   const fixed = (value, expanded) => { // two significant digits of U
     if (!(expanded > 0)) return signed(String(+value.toPrecision(5)));
@@ -110,7 +110,68 @@ const fieldCanvas = (() => {
   const median = list => { const kept = [...list].filter(Number.isFinite).sort((a, b) => a - b); return kept.length ? kept[kept.length >> 1] : 0; };
   const ends = list => { const kept = [...list].filter(Number.isFinite); return kept.length ? [Math.min(...kept), Math.max(...kept)] : [0, 1]; };
 
-  const spread = list => { const [low, high] = ends(list); return high - low; }; // of 100 normal numbers below 6.6 σ in 99 %
+  // Values of a field as they are shown: numbers, ends of the scale, colours, and what the probe says. null: not at this line.
+  // state: { key, line, view: size|phase|now, range: fit|zero, phase, mask: hide what is not above noise }.
+  function values(field, state) {
+    const quantity = field.quantities.find(q => q.key === state.key), line = quantity?.lines[state.line], n = field.points.length / 2;
+    if (!line) return null;
+    line.numbers ??= decode(line.values);
+    const column = k => line.numbers.subarray(k * n, (k + 1) * n), phasor = quantity.phasor;
+    const re = column(0), im = phasor ? column(1) : null, along = column(phasor ? 2 : 1), across = phasor ? column(3) : null;
+    const size = phasor ? re.map((x, i) => Math.hypot(x, im[i])) : re, noise = quantity.noise ? column(4) : null;
+    const above = i => !noise || size[i] > noise[i], hidden = i => state.mask && !above(i);
+    const view = phasor ? state.view : "size", found = { quantity, unit: line.unit, view };
+    found.above = noise ? size.reduce((sum, _, i) => sum + above(i), 0) : n;
+    found.cells = found.above < n && state.mask; // single points: nothing to interpolate
+    let shown = size, expanded = along, low, high;
+    if (view === "now") {
+      const turn = i => Math.atan2(im[i], re[i]) + state.phase;
+      shown = size.map((x, i) => x * Math.cos(turn(i)));
+      expanded = along.map((u, i) => Math.hypot(u * Math.cos(turn(i)), across[i] * Math.sin(turn(i))));
+      high = Math.max(...size.filter(Number.isFinite), 1e-12); low = -high;
+      found.colours = "sign";
+    } else if (view === "phase") {
+      found.unit = "°"; found.colours = "phase";
+      const mean = state.range === "fit" ? Math.atan2(im.reduce((s, y) => s + y, 0), re.reduce((s, x) => s + x, 0)) : 0;
+      shown = re.map((x, i) => { const turn = Math.atan2(im[i], x) - mean; return (mean + Math.atan2(Math.sin(turn), Math.cos(turn))) / DEG; });
+      expanded = across.map((u, i) => Math.min(u / size[i] / DEG, 180));
+      [low, high] = [-180, 180];
+      if (state.range === "fit" && !noise) { [low, high] = wide(ends(shown), median(expanded)); found.colours = "size"; }
+    } else {
+      found.colours = "size";
+      [low, high] = state.range === "zero" || noise ? [0, ends(size)[1] || 1] : wide(ends(size), median(expanded));
+    }
+    return { ...found, low, high, values: shown.map((x, i) => hidden(i) ? NaN : x), shown, expanded, noise, size, along, across, re, im };
+  }
+  function wide([low, high], least) { // a range narrower than U shows noise: widened to U
+    const more = Math.max(least - (high - low), 1e-9 * Math.abs(high), 1e-30) / 2;
+    return [low - (more > 0 ? more : 0), high + (more > 0 ? more : 0)];
+  }
+  // What the probe says of point i: its place in the camera's image, value ± U with unit, and phase.
+  function probe(field, found, i) {
+    const at = [0, 1].map(c => ((field.points[2 * i + c] + 0.5) / field.scale - 0.5).toFixed(0));
+    const unit = found.unit ? `${found.unit === "°" ? "" : " "}${found.unit}` : "";
+    let text = `Subset at (${at.join(", ")}) px: ${fixed(found.shown[i], found.expanded[i])}${unit}`;
+    if (found.view === "size" && found.quantity.phasor) {
+      const angle = Math.atan2(found.im[i], found.re[i]) / DEG, expanded = found.across[i] / found.size[i] / DEG;
+      text += expanded < 90 ? `, phase ${fixed(angle, expanded)}°` : ", phase not determined";
+    }
+    return found.noise && !(found.size[i] > found.noise[i]) ? `${text}, not above noise` : text;
+  }
+  // Low end, middle and high end of a scale with two significant digits of its range.
+  function scale({ low, high }) {
+    const decimals = Math.max(0, 1 - Math.floor(Math.log10(high - low)));
+    return [low, (low + high) / 2, high].map(x => signed(x.toFixed(decimals)));
+  }
+  return { make, decode, table, values, probe, scale, median };
+})();
+
+(() => {
+  const TURN_S = 2.0, STEP = 15, LINES = 9, DEG = Math.PI / 180, KIND = { model: "model of a rigid body", measured: "measured", shapes: "shapes fitted to all pixels", score: "score" };
+  const spread = list => { // of 100 normal numbers below 6.6 σ in 99 %
+    const kept = [...list].filter(Number.isFinite);
+    return kept.length ? Math.max(...kept) - Math.min(...kept) : Infinity;
+  };
 
   function start(panel) {
     const part = name => panel.querySelector(`[data-field="${name}"]`);
@@ -125,43 +186,6 @@ const fieldCanvas = (() => {
       return { figure, data, image, of, mark: null, tables: Object.fromEntries(Object.entries(data.colours).map(([k, c]) => [k, fieldCanvas.table(c)])) };
     });
     panel.classList.add("live");
-
-    // Values of a figure as they are shown: numbers, ends of the scale, colours, and what the probe says.
-    function values(one) {
-      const quantity = one.data.quantities.find(q => q.key === state.key), line = quantity?.lines[state.line], n = one.data.points.length / 2;
-      if (!line) return null;
-      line.numbers ??= fieldCanvas.decode(line.values);
-      const column = k => line.numbers.subarray(k * n, (k + 1) * n), phasor = quantity.phasor;
-      const re = column(0), im = phasor ? column(1) : null, along = column(phasor ? 2 : 1), across = phasor ? column(3) : null;
-      const size = phasor ? re.map((x, i) => Math.hypot(x, im[i])) : re, noise = quantity.noise ? column(4) : null;
-      const above = i => !noise || size[i] > noise[i], hidden = i => part("mask").checked && !above(i);
-      const view = phasor ? state.view : "size", found = { quantity, unit: line.unit, view };
-      found.above = noise ? size.reduce((sum, _, i) => sum + above(i), 0) : n;
-      found.cells = found.above < n && part("mask").checked; // single points: nothing to interpolate
-      let shown = size, expanded = along, low, high;
-      if (view === "now") {
-        const turn = i => Math.atan2(im[i], re[i]) + state.phase;
-        shown = size.map((x, i) => x * Math.cos(turn(i)));
-        expanded = along.map((u, i) => Math.hypot(u * Math.cos(turn(i)), across[i] * Math.sin(turn(i))));
-        high = Math.max(...size.filter(Number.isFinite), 1e-12); low = -high;
-        found.colours = "sign";
-      } else if (view === "phase") {
-        found.unit = "°"; found.colours = "phase";
-        const mean = state.range === "fit" ? Math.atan2(im.reduce((s, y) => s + y, 0), re.reduce((s, x) => s + x, 0)) : 0;
-        shown = re.map((x, i) => { const turn = Math.atan2(im[i], x) - mean; return (mean + Math.atan2(Math.sin(turn), Math.cos(turn))) / DEG; });
-        expanded = across.map((u, i) => Math.min(u / size[i] / DEG, 180));
-        [low, high] = [-180, 180];
-        if (state.range === "fit" && !noise) { [low, high] = wide(ends(shown), median(expanded)); found.colours = "size"; }
-      } else {
-        found.colours = "size";
-        [low, high] = state.range === "zero" || noise ? [0, ends(size)[1] || 1] : wide(ends(size), median(expanded));
-      }
-      return { ...found, low, high, values: shown.map((x, i) => hidden(i) ? NaN : x), shown, expanded, noise, size, along, across, re, im };
-    }
-    function wide([low, high], least) { // a range narrower than U shows noise: widened to U
-      const more = Math.max(least - (high - low), 1e-9 * Math.abs(high), 1e-30) / 2;
-      return [low - (more > 0 ? more : 0), high + (more > 0 ? more : 0)];
-    }
 
     function draw() {
       for (const one of figures) paint(one);
@@ -179,18 +203,17 @@ const fieldCanvas = (() => {
       draw();
     }
     function paint(one) {
-      const found = values(one);
+      const found = fieldCanvas.values(one.data, { ...state, mask: part("mask").checked });
       one.found = found;
       one.figure.classList.toggle("absent", !found);
       if (!found || !one.canvas) return;
       const levels = part("lines").checked ? Array.from({ length: LINES }, (_, i) => found.low + (i + 1) / (LINES + 1) * (found.high - found.low)) : null;
       one.canvas.draw({ ...found, colours: one.tables[found.colours], opacity: one.data.opacity, levels, mark: one.mark });
-      const width = found.high - found.low, decimals = Math.max(0, 1 - Math.floor(Math.log10(width)));
-      const told = [found.high, (found.low + found.high) / 2, found.low].map(x => signed(x.toFixed(decimals)));
+      const width = found.high - found.low, told = fieldCanvas.scale(found);
       one.of("ramp").style.background = `linear-gradient(to top, ${one.data.colours[found.colours].join(", ")})`;
-      ["high", "middle", "low"].forEach((name, i) => { one.of(name).textContent = told[i]; });
+      ["low", "middle", "high"].forEach((name, i) => { one.of(name).textContent = told[i]; });
       one.of("unit").textContent = found.unit;
-      const expanded = median(found.expanded), bracket = one.of("bracket");
+      const expanded = fieldCanvas.median(found.expanded), bracket = one.of("bracket");
       bracket.hidden = !(expanded > 0);
       bracket.style.height = `${Math.min(100, 200 * expanded / width)}%`;
       const hertz = part("line").selectedOptions[0].textContent, { quantity } = found;
@@ -204,14 +227,7 @@ const fieldCanvas = (() => {
     function told_at(one, found) {
       one.of("probe").classList.toggle("empty", one.mark === null);
       if (one.mark === null) return "Point at a subset, or use the arrow keys on the image.";
-      const i = one.mark, at = [0, 1].map(c => ((one.data.points[2 * i + c] + 0.5) / one.data.scale - 0.5).toFixed(0));
-      const unit = found.unit ? `${found.unit === "°" ? "" : " "}${found.unit}` : "";
-      let text = `Subset at (${at.join(", ")}) px: ${fixed(found.shown[i], found.expanded[i])}${unit}`;
-      if (found.view === "size" && found.quantity.phasor) {
-        const angle = Math.atan2(found.im[i], found.re[i]) / DEG, expanded = found.across[i] / found.size[i] / DEG;
-        text += expanded < 90 ? `, phase ${fixed(angle, expanded)}°` : ", phase not determined";
-      }
-      return found.noise && !(found.size[i] > found.noise[i]) ? `${text}, not above noise` : text;
+      return fieldCanvas.probe(one.data, found, one.mark);
     }
 
     // Probe: pointer, touch, and arrow keys.

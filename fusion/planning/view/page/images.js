@@ -2,9 +2,9 @@
 "use strict";
 (() => {
   const SIDES = ["left", "right"];
-  const KEPT = 12; // images
-  const AHEAD = 2; // frames asked for in advance while playing
-  const state = { order: [], picked: null, epipolar: null, subsets: null, cache: new Map(), asked: 0, playing: false, refused: [] };
+  const KEPT = 256 * 2 ** 20; // bytes of images
+  const AHEAD = 6; // frames asked for in advance in the direction of the slider, and a third of them behind it
+  const state = { order: [], place: 0, way: 1, picked: null, epipolar: null, subsets: null, frame: 0, cache: new Map(), playing: false };
   view.images = state;
   const pair = () => view.told.pairs[Number(view.get("pairs").value)];
   const number = (place = Number(view.get("frame").value)) => state.order[place] ?? 0;
@@ -12,26 +12,37 @@
   view.where = (side, event) => ports[SIDES.indexOf(side)].at(event);
   state.ports = ports;
 
-  async function picture(side, frame) {
-    const key = `${view.recording}/${pair().number}/${side}/${frame}`;
-    if (!state.cache.has(key)) {
-      state.cache.set(key, view.ask("frame", { pair: pair().number, side, frame }).then((found) => {
-        if (!(found instanceof ArrayBuffer)) return { refused: found.refused };
-        const { head, at } = view.head(found);
-        return { ...head, grey: head.bits === 8 ? new Uint8Array(found, at) : new Uint16Array(found, at) };
-      }));
-      state.cache.get(key).catch(() => state.cache.delete(key));
-      for (const old of state.cache.keys()) {
-        if (state.cache.size <= KEPT) break;
-        state.cache.delete(old);
-      }
+  /* An answer of a frame, asked for once; those not used for the longest time are dropped. */
+  function cached(key, ask) {
+    const found = state.cache.get(key) ?? { bytes: 0, answer: ask() };
+    if (!state.cache.delete(key)) {
+      found.answer.then((answer) => { found.bytes = answer.grey?.byteLength ?? 0; drop(); }, () => state.cache.delete(key));
     }
-    return state.cache.get(key);
+    state.cache.set(key, found);
+    return found.answer;
   }
+
+  function drop() {
+    let bytes = [...state.cache.values()].reduce((sum, one) => sum + one.bytes, 0);
+    for (const [old, one] of state.cache) {
+      if (bytes <= KEPT) return;
+      bytes -= one.bytes;
+      state.cache.delete(old);
+    }
+  }
+
+  const picture = (side, frame, one = pair()) => cached(`${one.number}/${side}/${frame}`, () => view.ask("frame", { pair: one.number, side, frame }).then((found) => {
+    if (!(found instanceof ArrayBuffer)) return { refused: found.refused };
+    const { head, at } = view.head(found);
+    return { ...head, grey: head.bits === 8 ? new Uint8Array(found, at) : new Uint16Array(found, at) };
+  }));
+  const seenIn = (frame, one = pair()) => cached(`${one.number}/subsets/${frame}`, () => view.ask("subsets", { pair: one.number, frame }));
+  const all = (frame, one = pair()) => Promise.all([seenIn(frame, one), ...one.cameras.map((_, side) => picture(side, frame, one))]);
 
   /* What is drawn on the images, in this order: each is given the side (0, 1), a pen whose unit is one pixel of the image (the
      centre of pixel (x, y) is at x + 0.5, y + 0.5), pixels of the image per pixel of the screen, and what `subsets` answered. */
   view.overlays = {
+    field: (side, pen) => view.field.draw(side, pen),
     subsets(side, pen, scale, seen) {
       if (!view.get("show-subsets").checked) return;
       const half = seen.radius;
@@ -66,6 +77,7 @@
       pen.stroke();
       if (line.length === 1) pen.strokeRect(line[0][0] + 0.5 - 4 * scale, line[0][1] + 0.5 - 4 * scale, 8 * scale, 8 * scale);
     },
+    probe: (side, pen, scale) => view.field.mark(side, pen, scale),
     outlines: (side, pen, scale) => { if (side === 0) view.region.draw(pen, scale); },
   };
 
@@ -78,18 +90,41 @@
   }
   state.paint = paint;
 
-  async function show() {
+  /* Show the frame of the slider. Frames it has passed meanwhile are left out. */
+  function show() {
+    state.due = true;
+    state.shows ??= (async () => {
+      while (state.due) {
+        state.due = false;
+        await step().catch(view.fail);
+      }
+      state.shows = null;
+      ahead().catch(view.fail);
+    })();
+    return state.shows;
+  }
+
+  async function step() {
     if (view.tab !== "images" || !view.told?.pairs.length) return;
-    const asked = ++state.asked, frame = number(), one = pair();
-    const pictures = one.cameras.map((_, side) => picture(side, frame));
-    const [subsets, ...frames] = await Promise.all([view.ask("subsets", { pair: one.number, frame }), ...pictures]);
-    if (asked !== state.asked) return;
-    state.subsets = subsets;
+    const { told } = view, one = pair(), place = Number(view.get("frame").value), frame = number(place);
+    const [subsets, ...frames] = await all(frame, one);
+    if (told !== view.told || one !== pair()) return;
+    [state.subsets, state.frame, state.way, state.place] = [subsets, frame, place < state.place ? -1 : 1, place];
     frames.forEach((image, side) => ports[side].show(image.grey ? image : null));
     paint();
     caption(one, frame, frames);
     view.get("images-told").textContent = [one.missing, subsets.told].filter(Boolean).join(" ");
     document.body.dataset.frame = String(frame);
+  }
+
+  /* Ask for the next frames one after another, until the slider moves. */
+  async function ahead() {
+    const { told } = view, { place, way } = state, count = state.order.length;
+    for (let i = 0; i < Math.min(AHEAD + AHEAD / 3, count - 1); i += 1) {
+      if (state.shows || view.tab !== "images" || told !== view.told) return;
+      const step = i < AHEAD ? i + 1 : AHEAD - i - 1;
+      await all(number((place + way * step + 2 * count) % count));
+    }
   }
 
   function caption(one, frame, frames) {
@@ -128,8 +163,9 @@
       if (camera) port.opened(camera.size, camera.full);
     });
     view.region.opened(one);
+    view.field.opened(one);
     ordered();
-    show().catch(view.fail);
+    show();
   }
 
   async function pick(side, [x, y]) {
@@ -161,8 +197,7 @@
     while (state.playing && view.tab === "images") {
       const slider = view.get("frame"), count = state.order.length, next = (Number(slider.value) + 1) % count;
       slider.value = next;
-      await show().catch(view.fail);
-      for (let i = 1; i <= AHEAD; i += 1) pair().cameras.forEach((_, side) => picture(side, number((next + i) % count)).catch(() => null));
+      await show();
       due = Math.max(due + 1000 / Number(view.get("rate").value), performance.now());
       await new Promise((resolve) => { setTimeout(resolve, due - performance.now()); });
     }
@@ -175,8 +210,8 @@
   }));
   view.get("rate").replaceChildren(...[1, 2, 5, 10, 20, 30].map((hz) => view.element("option", String(hz), { value: hz, selected: hz === 10 })));
   view.get("play").addEventListener("click", play);
-  view.get("frame").addEventListener("input", () => show().catch(view.fail));
-  view.get("order").addEventListener("change", () => { ordered(); show().catch(view.fail); });
+  view.get("frame").addEventListener("input", () => show());
+  view.get("order").addEventListener("change", () => { ordered(); show(); });
   view.get("pairs").addEventListener("change", paired);
   const each = (act) => { ports.forEach(act); paint(); };
   view.get("zoom-in").addEventListener("click", () => each((port) => port.zoomBy(view.ZOOM_STEP)));
@@ -189,8 +224,8 @@
     const under = ports.find((port) => port.under), zoomed = (act) => (under ? act(under) : each(act));
     const slider = view.get("frame");
     const acts = {
-      ArrowLeft: () => { slider.value = Number(slider.value) - 1; show().catch(view.fail); },
-      ArrowRight: () => { slider.value = Number(slider.value) + 1; show().catch(view.fail); },
+      ArrowLeft: () => { slider.value = Number(slider.value) - 1; show(); },
+      ArrowRight: () => { slider.value = Number(slider.value) + 1; show(); },
       " ": play,
       "+": () => zoomed((port) => port.zoomBy(view.ZOOM_STEP, port.under)),
       "-": () => zoomed((port) => port.zoomBy(1 / view.ZOOM_STEP, port.under)),
@@ -204,10 +239,11 @@
   view.parts.images = {
     opened: () => {
       state.cache.clear();
+      view.field.clear();
       if (state.playing) play();
       view.options("pairs", view.told.pairs.map((one) => one.name));
       if (view.told.pairs.length) paired();
     },
-    shown: () => show().catch(view.fail),
+    shown: () => show(),
   };
 })();
