@@ -32,9 +32,10 @@ DAMPING_NOT_LINEAR = DeclaredNotice(
 CHAIN_DELAY_UNKNOWN = DeclaredNotice(
     "SC-921",
     "note",
-    "The delay of the output's chain is not stated. {delay_us:.2g} µs move quadrature_hz by {shift_hz:.2g} Hz.",
-    effect="A record does not distinguish it from a later release. U of quadrature_hz and of phases excludes it.",
+    "The delay of the output's chain, which a record does not distinguish from a later release: not stated.",
+    effect="U of quadrature_hz and of phases excludes it.",
     remedy="State the `response` of the output's channel, with its anti-aliasing filter, or measure the force.",
+    possible_size="{shift_hz:.2g} Hz of quadrature_hz for {delay_us:.2g} µs",
     link="steps.md",
 )
 MODEL_COVERAGE = DeclaredNotice(

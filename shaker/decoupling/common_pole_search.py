@@ -136,8 +136,11 @@ def select_pole_count(
 
 
 def without_superfluous(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit:
-    """Return the fit without modes that its releases no longer need."""
-    while (fewer := _smaller(problem, fit, most)) is not None:
+    """Return the fit without modes and further lags that its releases no longer need.
+
+    A lag may have explained a release of a wrong shape or duration that was found later.
+    """
+    while (fewer := _smaller(problem, fit, most) or _fewer_lags(problem, fit)) is not None:
         fit = fewer
     return fit
 
@@ -342,9 +345,21 @@ def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | 
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
-    fewer, count = poles.without(weakest), problem.values
+    return _without(problem, fit, weakest)
+
+
+def _fewer_lags(problem: StepProblem, fit: PoleFit) -> PoleFit | None:
+    """Return the fit without its fastest further lag, None if the criterion needs it."""
+    if len(fit.poles.real_hz) < 2:
+        return None
+    return _without(problem, fit, fit.poles.modes + int(np.argmax(fit.poles.real_hz)))
+
+
+def _without(problem: StepProblem, fit: PoleFit, index: int) -> PoleFit | None:
+    """Return the fit without one pole, None if its criterion is not lower."""
+    fewer, count = fit.poles.without(index), problem.values
     # The loss at which both criteria are equal.
-    target_loss = count * float(np.exp((criterion(problem, poles, fit.loss) - _charge(problem, fewer)) / count))
+    target_loss = count * float(np.exp((criterion(problem, fit.poles, fit.loss) - _charge(problem, fewer)) / count))
     fitted = fit_poles(problem, fewer, fit.releases, *_ALONG_A_VALLEY, target_loss=target_loss)
     return fitted if fitted.loss < target_loss else None
 

@@ -122,7 +122,7 @@ def _drop_damping_uncertainty(found: IndexResults) -> IndexResults:
 
 
 def _of_delay(result: StepComponent, model: ModalModel) -> Iterator[Notice]:
-    """Yield the notice of an unknown delay of the chain, which moves the quadrature frequency."""
+    """Yield the possible size of an unknown delay of the chain, which moves the quadrature frequency."""
     quadrature = result.find("quadrature_hz")
     if quadrature is None or any(r.record.lag_s is not None or r.record.force is not None for r in result.chosen):
         return
