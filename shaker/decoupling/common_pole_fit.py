@@ -149,7 +149,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 def _selected(
     problem: StepProblem, candidate: PoleCandidate, most_modes: int | None, most_reals: int
 ) -> tuple[StepProblem, StepProblem, PoleFit, list[PoleCountTrial]]:
-    """Return the problem with hum, that near the releases, its fit with the number of poles, and trials."""
+    """Return problem with hum, its part near the releases, fit and trials."""
     problem, start = with_hum(problem, *candidate)
     lasts_s, cut = 1.0 / float(np.min(-start.values.real)), []
     for record, release in zip(problem.records, candidate[1], strict=True):

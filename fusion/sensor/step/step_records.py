@@ -130,7 +130,7 @@ _NO_LAG = 5e-3  # lag in radians of the ringing, below which a stated response s
 
 
 def with_stated_lag(record: StepRecord, driven: int, entry: ChannelEntry) -> StepRecord:
-    """Return a record with the lag and the further delay of its driven output's stated response.
+    """Return a record with lag and further delay of its output's stated response.
 
     |H| = 1/√(1 + ω²τ²) at the frequency of the ringing relative to a tenth of it. A response without a lag, as that of
     an anti-aliasing filter alone, does not state the lag of the amplifier.
