@@ -128,7 +128,7 @@ def _without_u(found: IndexResults, names: Sequence[str], notice: Notice) -> Ind
 
 
 def _with_delay(found: IndexResults, chosen: Sequence[StepRelease], model: ModalModel) -> IndexResults:
-    """Return indices with the delay of the chain, which moves the quadrature frequency, as a notice.
+    """Return indices with a notice of the chain's delay, which moves the quadrature frequency.
 
     A stated delay that moves it by more than its U leaves the indices of time and phase without U.
     """
