@@ -42,7 +42,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "two_stages": ("SC-367", "SC-368", "SC-860"),
     "pink_noise": ("SC-369", "SC-374", "SC-870"),
     "mains_hum": ("SC-375", "SC-870"),
-    "filter_stated": ("SC-666", "SC-862"),
+    "filter_stated": ("SC-666", "SC-862", "SC-922"),
     "filter_unstated": ("SC-921",),
     "growing_mode": ("SC-374", "SC-870"),
     "dry_friction": ("SC-861", "SC-920"),

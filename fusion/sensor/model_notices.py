@@ -32,9 +32,19 @@ DAMPING_NOT_LINEAR = DeclaredNotice(
 CHAIN_DELAY_UNKNOWN = DeclaredNotice(
     "SC-921",
     "note",
-    "The delay of the output's chain is not stated. {delay_us:.2g} µs move quadrature_hz by {shift_hz:.2g} Hz.",
-    effect="A record does not distinguish it from a later release. U of quadrature_hz and of phases excludes it.",
+    "The delay of the output's chain, which a record does not distinguish from a later release: not stated.",
+    effect="U of quadrature_hz and of phases excludes it.",
     remedy="State the `response` of the output's channel, with its anti-aliasing filter, or measure the force.",
+    possible_size="{shift_hz:.2g} Hz of quadrature_hz for {delay_us:.2g} µs",
+    link="steps.md",
+)
+CHAIN_DELAY_NOT_IN_MODEL = DeclaredNotice(
+    "SC-922",
+    "warning",
+    "The stated response of the output's channel has a delay of {delay_us:.2g} µs that the model does not include.",
+    effect="The delay moves quadrature_hz by {shift_hz:.2g} Hz and adds to settling times. These and the rise time are"
+    " those of a sensor without the delay, and have no U.",
+    remedy="Add the delay where the sensor is used with this chain.",
     link="steps.md",
 )
 MODEL_COVERAGE = DeclaredNotice(
@@ -201,8 +211,8 @@ CHAIN_IN_MODEL = DeclaredNotice(
     "SC-666",
     "warning",
     "The stated response of {channels} is not corrected.",
-    effect="The model describes sensor and measuring chain together. `step` takes its lag as that of the whole chain: a"
-    " further lag of an amplifier that is not stated is attributed to the release and is not in U.",
+    effect="The model describes sensor and measuring chain together. `step` uses its lag as that of the whole chain: a"
+    " further lag of an amplifier is attributed to the release and is not in U, unless the stated response has no lag.",
     remedy="State the response of the whole chain of the channel.",
     link="steps.md",
 )

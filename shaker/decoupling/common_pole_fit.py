@@ -29,6 +29,7 @@ from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sor
 from shaker.decoupling.release_problem import (
     SHAPE_NAMES,
     TIMES,
+    PoleCandidate,
     PoleFit,
     ReleaseTiming,
     StepProblem,
@@ -128,16 +129,9 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     releases = _after_rest(records, releases, noise)
     problem, start = _posed(records, releases, noise)
     start = drop_weak_modes(problem, start, releases, most_modes)
-    candidate = add_first_lag(problem, start, tuple(releases))
-    problem, start = with_hum(problem, *candidate)
-    releases = list(candidate[1])
-    lasts_s = 1.0 / float(np.min(-start.values.real))
-    cut = []
-    for record, release in zip(problem.records, releases, strict=True):
-        before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
-        cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
-    near, devices = replace(problem, records=tuple(cut)), _devices(records)
-    fit, trials = select_pole_count(near, (start, tuple(releases)), most_modes, most_reals)
+    ends = [_selected(problem, one, most_modes, most_reals) for one in add_first_lag(problem, start, tuple(releases))]
+    problem, near, fit, trials = min(ends, key=lambda end: end[2].loss / end[1].values)
+    devices = _devices(records)
     fit, shapes = try_other_shapes(near, fit, devices)
     fit, durations = try_other_durations(near, without_superfluous(near, fit, most_modes))
     fit, others = fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR), [*durations, *shapes]
@@ -150,6 +144,19 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     fit = without_superfluous(problem, fit_poles(problem, fit.poles, fit.releases), most_modes)
     fit, likely = equally_likely(problem, fit, others)
     return multi_fit(records, problem, (fit, *likely), (noise, refined_noise), tuple(trials))
+
+
+def _selected(
+    problem: StepProblem, candidate: PoleCandidate, most_modes: int | None, most_reals: int
+) -> tuple[StepProblem, StepProblem, PoleFit, list[PoleCountTrial]]:
+    """Return problem with hum, its part near the releases, fit and trials."""
+    problem, start = with_hum(problem, *candidate)
+    lasts_s, cut = 1.0 / float(np.min(-start.values.real)), []
+    for record, release in zip(problem.records, candidate[1], strict=True):
+        before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
+        cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
+    near = replace(problem, records=tuple(cut))
+    return problem, near, *select_pole_count(near, (start, candidate[1]), most_modes, most_reals)
 
 
 def _devices(records: Sequence[StepRecord]) -> list[list[int]]:

@@ -58,13 +58,15 @@ class PoleCountTrial:
     accepted: bool
 
 
-def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTiming, ...]) -> PoleCandidate:
+def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTiming, ...]) -> tuple[PoleCandidate, ...]:
     """Return the best poles with a first lag, and correspondingly earlier and shorter releases.
 
     A lag is always fitted: even one too fast to be observed changes the ringing, and a model without it claims too
-    much.
+    much. Where the best fit is far from the noise it may be a wrong one, and the best start without a fit is returned
+    too.
     """
     offers: list[tuple[float, PoleCandidate]] = []
+    plain = offers[:]
 
     def offer(lagged: Poles, moved: Sequence[ReleaseTiming]) -> None:
         times = []
@@ -83,11 +85,13 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
         if min((loss for loss, _ in offers), default=np.inf) > _EXPLAINED * problem.values:
             for lagged, moved in starts:
                 offer(lagged, moved if shape is None else [release.in_shape(shape) for release in moved])
+            plain += offers[-len(starts) :]
             fit = fit_poles(problem, *min(offers[-len(starts) :], key=lambda pair: pair[0])[1], _FEW_STEPS, _ROUGH)
             # A lag and the time constant of an exponential are easily exchanged, and a fit may end at a duration of 0.
             for one in (fit, *_exchanged(problem, fit), *_without_steps(problem, fit)):
                 offers.append((one.loss, (one.poles, one.releases)))
-    return min(offers, key=lambda pair: pair[0] * _price(pair[1][1][0].shape))[1]
+    best, first = (min(pairs, key=lambda pair: pair[0] * _price(pair[1][1][0].shape)) for pairs in (offers, plain))
+    return (best[1],) if best is first or best[0] < _UNEXPLAINED * problem.values else (best[1], first[1])
 
 
 def _lagged(releases: Sequence[ReleaseTiming], late_s: float) -> Iterator[ReleaseTiming]:
@@ -136,8 +140,11 @@ def select_pole_count(
 
 
 def without_superfluous(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit:
-    """Return the fit without modes that its releases no longer need."""
-    while (fewer := _smaller(problem, fit, most)) is not None:
+    """Return the fit without modes and further lags that its releases no longer need.
+
+    A lag may have explained a release of a wrong shape or duration that was found later.
+    """
+    while (fewer := _smaller(problem, fit, most) or _fewer_lags(problem, fit)) is not None:
         fit = fewer
     return fit
 
@@ -342,9 +349,21 @@ def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | 
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
-    fewer, count = poles.without(weakest), problem.values
+    return _without(problem, fit, weakest)
+
+
+def _fewer_lags(problem: StepProblem, fit: PoleFit) -> PoleFit | None:
+    """Return the fit without its fastest further lag, None if the criterion needs it."""
+    if len(fit.poles.real_hz) < 2:
+        return None
+    return _without(problem, fit, fit.poles.modes + int(np.argmax(fit.poles.real_hz)))
+
+
+def _without(problem: StepProblem, fit: PoleFit, index: int) -> PoleFit | None:
+    """Return the fit without one pole, None if its criterion is not lower."""
+    fewer, count = fit.poles.without(index), problem.values
     # The loss at which both criteria are equal.
-    target_loss = count * float(np.exp((criterion(problem, poles, fit.loss) - _charge(problem, fewer)) / count))
+    target_loss = count * float(np.exp((criterion(problem, fit.poles, fit.loss) - _charge(problem, fewer)) / count))
     fitted = fit_poles(problem, fewer, fit.releases, *_ALONG_A_VALLEY, target_loss=target_loss)
     return fitted if fitted.loss < target_loss else None
 

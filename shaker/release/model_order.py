@@ -307,15 +307,22 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
 
 
 def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
-    """Return the fit with additional numerator terms that are significant."""
+    """Return the fit with additional numerator terms that are significant.
+
+    With few terms a release about as long as the period of a further mode gives that mode the wrong sign. With several
+    modes a richer model is therefore fitted also from its own start.
+    """
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
-        gain, _ = predicted_gain(found, richer, [found.vector, starts[terms - 1]])
+        own = [found.vector, starts[terms - 1]]
+        gain, _ = predicted_gain(found, richer, own)
         if gain > TERM * problem.colour * (terms - found.problem.structure.terms):
-            start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector[None])[0, -1])
             firm = 1.0 if terms <= problem.structure.smoothest else 6.0
-            trial = solve(*with_loose_prior(richer, start, firm * highest_hz))
+            best = min(own, key=lambda vector: squares(richer, vector[None])[0, -1])
+            chosen = own if problem.structure.modes > 1 else [best]
+            tried = [solve(*with_loose_prior(richer, start, firm * highest_hz)) for start in chosen]
+            trial = min(tried, key=penalised_chi_squared)
             found = (
                 replace(trial, path=found.path + trial.path)
                 if penalised_chi_squared(trial) < penalised_chi_squared(found)

@@ -34,6 +34,7 @@ class StepRecord:
     onset_s : stated start of the release, s, default None
     release : release device, such as "fishing line", default ""
     lag_s, u_lag_s : stated lag of the outputs' chain with standard uncertainty, s, default None: not stated
+    delay_s : further delay of the chain at the ringing, as its stated response has, s, default None: not stated
 
     Examples
     --------
@@ -57,6 +58,7 @@ class StepRecord:
     release: str = ""
     lag_s: float | None = None
     u_lag_s: float = 0.0
+    delay_s: float | None = None
 
     def __post_init__(self) -> None:
         check_shape("samples", self.samples, (len(self.channels), None))

@@ -347,6 +347,46 @@ def test_a_stated_chain_in_the_model_is_reported(folder):
     assert (notice.code, notice.values) == (raised.CHAIN_IN_MODEL.code, {"channels": "Fz"})
 
 
+def chained(folder: Path, *elements: tuple[int, float]) -> Path:
+    """Return a recording whose driven output states low-pass filters of orders and corners."""
+    text = "".join(
+        f'[[element]]\nname = "f"\nfilter = "butterworth"\norder = {n}\ncorner = {hz}\n' for n, hz in elements
+    )
+    (folder / "chain.toml").write_text("format = 1\n" + text, encoding="utf-8")
+    edit(folder / "recording.toml", 'channel = "Fz"\n', 'channel = "Fz"\nresponse = "chain.toml"\n')
+    return folder
+
+
+def test_a_stated_filter_without_a_lag_does_not_state_that_of_the_amplifier(tmp_path):
+    both = step_of(chained(write(tmp_path / "both", TRUTH), (1, 6e3), (4, 10e3))).record
+    assert both.lag_s == pytest.approx(1.0 / (2.0 * np.pi * 6e3), rel=1e-3)
+    alone = step_of(chained(write(tmp_path / "alone", TRUTH), (4, 10e3))).record
+    assert alone.lag_s is None
+    delay_s = 2.6131 / (2.0 * np.pi * 10e3)  # sum of the filter's 1/Q over its corner, at low frequencies
+    assert (both.delay_s, alone.delay_s) == (pytest.approx(delay_s, rel=0.03), pytest.approx(delay_s, rel=0.03))
+
+
+def noticed(folder: Path) -> dict[str, Notice]:
+    """Return the notices of an evaluation by code."""
+    assert main(["step", str(folder), "-q"]) == 0
+    with h5py.File(folder / "step" / "step.h5") as file:
+        return {notice.code: notice for notice in read_notices(file)}
+
+
+def test_the_delay_of_a_chain_is_outside_u_and_a_stated_one_leaves_the_quadrature_without(tmp_path):
+    unknown = noticed(write(tmp_path / "one", TRUTH))[raised.CHAIN_DELAY_UNKNOWN.code]
+    assert unknown.possible_size
+    assert not unknown.is_listed
+    # At resonance the phase falls by 2/(f ζ) over frequency, a delay by 2π.
+    expected = 2.0 * np.pi * 1700.0 * 1e-5 * 0.5 * 1700.0 * TRUTH.damping_ratio * 2.0
+    assert unknown.values["shift_hz"] == pytest.approx(expected, rel=0.2)
+    found = noticed(chained(write(tmp_path / "two", TRUTH), (1, 6e3), (4, 10e3)))
+    assert raised.CHAIN_DELAY_UNKNOWN.code not in found
+    assert found[raised.CHAIN_DELAY_NOT_IN_MODEL.code].values["delay_us"] == pytest.approx(41.6, rel=0.03)
+    assert np.isnan(number(tmp_path / "two", "indices.csv", "quadrature_hz")[1])
+    assert number(tmp_path / "two", "indices.csv", "band_5_hz")[1] > 0.0
+
+
 def test_several_takes_are_refused(folder):
     path = folder / "recording.toml"
     text = path.read_text(encoding="utf-8")

@@ -252,6 +252,19 @@ def test_two_modes_and_a_release_that_takes_its_time(length):
     assert abs(fit.release_s - length) < max(4 * fit.u_release_s, 3e-5)
 
 
+def test_a_release_shorter_than_the_period_of_a_second_mode_is_not_taken_for_a_longer_one():
+    """Modes side by side of 80 % and 20 %; a ramp of 0.4 ms would give the second one the other sign."""
+    figures, lag = ((1630.0, 0.014), (2970.0, 0.0112)), 2.0 * np.pi * 6000.0
+    one, other = (np.array([1.0, 4.0 * np.pi * f * zeta, (2.0 * np.pi * f) ** 2]) for f, zeta in figures)
+    top = np.polyadd(0.8 * one[2] * other, 0.2 * other[2] * one)
+    poles = np.concatenate([np.roots(one), np.roots(other), [-lag + 0j]])
+    system = LinearSystem(np.roots(top).astype(complex), poles, float(top[0] * lag))
+    record = record_of(released(system, onset_s=0.02, length_s=2.3e-4, count=8000), 1e-2, 1)
+    fits = {fit.shape: fit for fit in fit_shapes(record, "Fz", read_release(record, "Fz"))}
+    assert fits["ramp"].release_s == pytest.approx(2.3e-4, abs=4.0 * fits["ramp"].u_release_s)
+    assert fits["ramp"].release_s < 2.6e-4
+
+
 def test_order_is_found_by_rule():
     """One mode and two modes, each with a low-pass filter, at 40 dB."""
     assert one_mode(record_of(clean(), 2e-3, 2), modes=None, real_poles=None).order == 3

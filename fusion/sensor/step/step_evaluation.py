@@ -72,6 +72,7 @@ def evaluate_component(
     pooled = pool_models(contributions, mountings, u_scale, influences, alternatives)
     stated, _ = stated_gain(manifest, channel, component)
     found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, influences)
+    found = _with_delay(found, used, pooled.model)
     of_all = [other.notice for other in others if other.notice is not None]
     if AMPLITUDE_DEPENDENT.code in [notice.code for notice in of_all]:  # of all releases in place of each of them
         found = _drop_damping_uncertainty(found)
@@ -103,6 +104,7 @@ def evaluate_component(
 
 
 _OF_DAMPING = ("damping_ratio", "peak_gain", *SETTLING)
+_OF_DELAY = ("quadrature_hz", "rise_s", *SETTLING)
 _CONTRADICTED = 0.5  # U of a damping ratio over it from which a dependence on the amplitude leaves it without a value
 _DELAY_S = 1e-5  # delay of a chain for which the effect is stated
 
@@ -112,24 +114,39 @@ def _drop_damping_uncertainty(found: IndexResults) -> IndexResults:
     damping = next((one for one in found.quantities if one.name == "damping_ratio"), None)
     if damping is None or damping.expanded < _CONTRADICTED * abs(damping.value):
         return found
-    quantities = tuple(
-        replace(one, u=np.nan, low=np.nan, high=np.nan) if one.name in _OF_DAMPING else one for one in found.quantities
-    )
-    rest = {cause: {n: u for n, u in parts.items() if n not in _OF_DAMPING} for cause, parts in found.budget.items()}
     share = PERCENT * damping.expanded / abs(damping.value)
-    notice = Notice(declared.DAMPING_NOT_LINEAR, damping.name, percent=share)
+    return _without_u(found, _OF_DAMPING, Notice(declared.DAMPING_NOT_LINEAR, damping.name, percent=share))
+
+
+def _without_u(found: IndexResults, names: Sequence[str], notice: Notice) -> IndexResults:
+    """Return indices, those of `names` without U, and a notice why."""
+    quantities = tuple(
+        replace(one, u=np.nan, low=np.nan, high=np.nan) if one.name in names else one for one in found.quantities
+    )
+    rest = {cause: {n: u for n, u in parts.items() if n not in names} for cause, parts in found.budget.items()}
     return IndexResults(quantities, (*found.notices, notice), rest)
 
 
-def _of_delay(result: StepComponent, model: ModalModel) -> Iterator[Notice]:
-    """Yield the notice of an unknown delay of the chain, which moves the quadrature frequency."""
-    quadrature = result.find("quadrature_hz")
-    if quadrature is None or any(r.record.lag_s is not None or r.record.force is not None for r in result.chosen):
-        return
+def _with_delay(found: IndexResults, chosen: Sequence[StepRelease], model: ModalModel) -> IndexResults:
+    """Return indices with a notice of the chain's delay, which moves the quadrature frequency.
+
+    A stated delay that moves it by more than its U leaves the indices of time and phase without U.
+    """
+    quadrature = next((one for one in found.quantities if one.name == "quadrature_hz"), None)
+    if quadrature is None or any(release.record.force is not None for release in chosen):
+        return found
     near = quadrature.value * np.array([1.0 - RELATIVE_STEP, 1.0 + RELATIVE_STEP])
     phases = np.angle(model.response(near) / model.response(np.full(2, quadrature.value)))
-    shift = 2.0 * np.pi * quadrature.value * _DELAY_S * np.ptp(near) / max(abs(float(np.diff(phases)[0])), 1e-300)
-    yield Notice(declared.CHAIN_DELAY_UNKNOWN, result.component, delay_us=1e6 * _DELAY_S, shift_hz=shift)
+    per_s = 2.0 * np.pi * quadrature.value * np.ptp(near) / max(abs(float(np.diff(phases)[0])), 1e-300)
+    stated = [release.record.delay_s for release in chosen if release.record.delay_s is not None]
+    if not stated:
+        values = {"delay_us": 1e6 * _DELAY_S, "shift_hz": _DELAY_S * per_s}
+        return found._replace(notices=(*found.notices, Notice(declared.CHAIN_DELAY_UNKNOWN, quadrature.name, **values)))
+    delay_s = float(np.median(stated))
+    if abs(delay_s) * per_s < quadrature.expanded:
+        return found
+    values = {"delay_us": 1e6 * delay_s, "shift_hz": abs(delay_s) * per_s}
+    return _without_u(found, _OF_DELAY, Notice(declared.CHAIN_DELAY_NOT_IN_MODEL, quadrature.name, **values))
 
 
 def _remarks(
@@ -142,7 +159,6 @@ def _remarks(
     yield coverage_notice(result.scope, result.influences.outside, "models")
     for notice in of_indices:
         yield notice.at(f"{where}, {notice.where}")
-    yield from _of_delay(result, model)
     if not len(model.real_hz):
         yield Notice(declared.NO_REAL_POLE, where, channel=channel)
     if stated is None:

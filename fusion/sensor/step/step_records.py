@@ -126,12 +126,14 @@ def read_step(manifest: Manifest) -> StepInput:
 
 
 _FAR_BELOW = 10.0  # ratio of the frequencies between which the magnitude of a chain gives its lag
+_NO_LAG = 5e-3  # lag in radians of the ringing, below which a stated response says nothing of an amplifier
 
 
 def with_stated_lag(record: StepRecord, driven: int, entry: ChannelEntry) -> StepRecord:
-    """Return a record with the lag of its driven output's stated response.
+    """Return a record with lag and further delay of its output's stated response.
 
-    |H| = 1/√(1 + ω²τ²) at the frequency of the ringing relative to a tenth of it.
+    |H| = 1/√(1 + ω²τ²) at the frequency of the ringing relative to a tenth of it. A response without a lag, as that of
+    an anti-aliasing filter alone, does not state the lag of the amplifier.
     """
     if entry.response is None:
         return record
@@ -148,6 +150,10 @@ def with_stated_lag(record: StepRecord, driven: int, entry: ChannelEntry) -> Ste
     square, u_square = max(0.0, (below - 1.0) / per_omega), 2.0 * below / per_omega
     u_square *= float(np.linalg.norm((chain.errors[:, 1] - chain.errors[:, 0]).real))
     lag = float(np.sqrt(square))
+    later = -float(np.angle(chain.value[1] / chain.value[0])) / (omega - omega / _FAR_BELOW)
+    record = replace(record, delay_s=later - float(np.arctan(omega * lag)) / omega)
+    if omega * lag < _NO_LAG:
+        return record
     return replace(record, lag_s=lag, u_lag_s=float(u_square / (2.0 * max(lag, np.sqrt(u_square), 1e-12))))
 
 
