@@ -71,8 +71,8 @@ GALLERY = {
     "chirp": _made("chirp", "transfer * -o out/*", "transfer.html", "Transfer functions and a resonance from a chirp"),
     "masses": _made("masses", "identify * -o out/*", "identify.html", "Stiffness, damping, internal mass of a sensor"),
     "pitching": _made("pitching", "identify * -o out/*", "identify.html", "A horizontal set-up whose load pitches"),
-    "rotation": _made("rotation", "rotate * -o out/*", "rotate.html", "Masses from rotation about a horizontal axis"),
-    "orientations": _made("orientations", "rotate * -o out/*", "rotate.html", "Masses from the poses of a robot"),
+    "rotation": _made("rotation", "rotate * -o out/*", "rotation.html", "Masses from rotation about a horizontal axis"),
+    "orientations": _made("orientations", "rotate * -o out/*", "rotation.html", "Masses from the poses of a robot"),
     "steps": _made("steps", "step * -o out/*", "step.html", "Modes, bands and settling from ropes that are cut"),
     "decouple": Entry(
         (_STEPS, "decouple steps -o out/decouple"),
