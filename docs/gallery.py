@@ -60,7 +60,7 @@ GALLERY = {
     "compare": Entry(
         (*_SWEEP, *_COMPARED, "compare first=out/sweep second=out/other -o out/compare"),
         "out/compare/comparison.html",
-        "Two campaigns with one sensor compared: E_n over frequency",
+        "Two campaigns compared: degrees of equivalence over frequency",
     ),
     "targets": _made(
         "targets",
