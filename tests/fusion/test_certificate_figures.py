@@ -119,7 +119,7 @@ def test_numbers_of_other_commands_are_those_of_their_tables(
     assert texts(root, ".//dcc:result//si:real/si:unit")[: len(units)] == units
     if command == "step":
         table = [row for row in table if row["channel"] == row["component"]]
-        assert "within these" in " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
+        assert "for these" in " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
     assert [line[1] for line in found] == [row["value"] for row in table]
     assert [float(line[2]) for line in found] == pytest.approx([float(row["U"]) for row in table], rel=1e-12)
     check_valid(tmp_path / "out" / "certificate.xml")

@@ -77,7 +77,7 @@ def test_resonances_over_the_load(campaign):
 
 def test_models_come_back_to_the_last_bit_and_the_page_is_complete(campaign):
     ((model, rests),) = read_loads(campaign / "load")
-    assert rests.scope == "within these 5 releases of one mounting"
+    assert rests.scope == "for these 5 releases in one mounting"
     with h5py.File(campaign / "load" / "load.h5") as file:
         group = file["components/Fy/solution_1/model"]
         assert model.stiffness == group.attrs["stiffness"]
@@ -226,7 +226,7 @@ def test_influences_stated_by_one_rig_are_included_in_every_u(short):
     rigs[1].write_text(rigs[1].read_text(encoding="utf-8") + stated.format(1e-3), encoding="utf-8")
     (series,), _ = read(short, 0, 48)
     narrow, wide = (evaluate_loads("loads", (one,), (), LoadSettings(), {}) for one in (plain, series))
-    scope = "within these 2 releases of one mounting, with mounting anew and another temperature as stated"
+    scope = "for these 2 releases in one mounting, with mounting anew and another temperature as stated"
     assert series.influences.scope == scope
     assert series.influences.outside == "a model of another structure"
     for before, after in zip(narrow.components, wide.components, strict=True):

@@ -111,7 +111,7 @@ def test_models_agree_with_the_truth(campaign):
     entry = read_models(campaign / "step")["Fz", "Fz"]
     assert (entry.unit, entry.sample_rate_hz) == ("V/V", 50_000.0)
     assert entry.recording == "line-1, line-2, line-3"
-    assert entry.scope == "within these 3 releases of one mounting"
+    assert entry.scope == "for these 3 releases in one mounting"
     assert entry.noise == pytest.approx(NOISE, rel=0.1)
     assert entry.model.frequency_hz[0] == pytest.approx(1700.0, rel=1e-4)
     assert entry.model.damping_ratio[0] == pytest.approx(TRUTH.damping_ratio, rel=5e-3)

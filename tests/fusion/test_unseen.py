@@ -121,7 +121,7 @@ def test_what_is_stated_is_in_every_number_of_a_model():
 def test_several_mountings_take_the_place_of_what_is_stated_of_one():
     assert ONE.scope == "within this record of one release, with mounting anew and another temperature as stated"
     assert (ONE.single, ONE.missing) == (True, ("load", "structure"))
-    assert TWO.scope == "within these 2 releases of 2 mountings, with another temperature as stated"
+    assert TWO.scope == "for these 2 releases in 2 mountings, with another temperature as stated"
     assert TWO.causes == ("temperature",)
     assert stated_influences(Rig(format=1, name="r"), ["1"]).scope == "within this record of one release"
 
