@@ -294,10 +294,10 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         first, last = best[0], best[-1]
         expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
         many = len(mains) > FULL_HEADLINES
-        remark = f"U = {small(expanded[0])} %" + ("" if many else f" (k = {first.element.k:.2f})")
+        remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f})"
         if first.relative is not None:
             judged = verdict(first.relative)
-            remark += f"; {judged.partition(':')[0] if many else judged}"
+            remark += f"; {judged.partition(',')[0] if many else judged}"
         name = result_name(first.kind, first.channel, first.component, main=True)
         if first.kind != "ratio":
             name = f"{'' if many else 'sensitivity, '}output {first.channel} per load {first.component}"

@@ -385,7 +385,7 @@ def verdict(relative: Polar) -> str:
     """Return whether a magnitude agrees with its static value, and the deviation."""
     agrees = abs(relative.magnitude - 1.0) <= relative.expanded_magnitude
     words = "agrees with the static value" if agrees else "differs from the static value"
-    return f"{words}: {deviation(relative)}"
+    return f"{words}, difference {deviation(relative)}"
 
 
 def deviation(relative: Polar) -> str:

@@ -171,7 +171,7 @@ GREY_FIT_DISAGREES = DeclaredNotice(
 PATTERN_CORRECTED = DeclaredNotice(
     "SC-214",
     "note",
-    "The fixed pattern of the sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
+    "The fixed pattern of the image sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
     "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
     effect="This is corrected by the growth of the misfit with the motion. {u_percent:.2g} % (u) remain, which are in "
     "U: also by cells of the image that err alike in every period.",
@@ -182,7 +182,7 @@ PATTERN_UNKNOWN = DeclaredNotice(
     "SC-215",
     "warning",
     "A motion of {motion_px:.2g} px (rms) at {frequency_hz:.6g} Hz does not show how large the fixed pattern of the "
-    "sensors is: it may change the result by {u_percent:.2g} % (u), more than noise.",
+    "image sensors is: u of this camera pair's amplitude by it is {u_percent:.2g} %, more than noise.",
     effect="U includes this, for the pattern that is stated or for that of a common industrial sensor.",
     remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or `displaced_left` and "
     "`displaced_right`: some images with the body displaced by 1 to 5 px.",

@@ -193,6 +193,13 @@ def _source(result: ComparedResult) -> str:
     return f"{result.name} ({result.file}{repeats})"
 
 
+def _contradiction(evaluation: ComparisonEvaluation) -> str:
+    """Return a sentence if results differ by more than U, otherwise nothing."""
+    found = evaluation.quantities
+    above = sum(one.largest > 1.0 for one in found)
+    return f"Results differ: |E_n| above 1 at {above} of {len(found)} values." if above else ""
+
+
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     columns: list[TableColumn[ComparedQuantity]] = [
         page_column("element", lambda f: f"{f.channel} per {f.component}", "l"),
@@ -227,6 +234,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     dated = [found for found in evaluation.quantities if found.per_year is not None]
     return {
         "subject": [("Results", ", ".join(map(_source, evaluation.results)))],
+        "contradiction": _contradiction(evaluation),
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
         "figures": [draft_report.draw_equivalence(evaluation, _main(evaluation))],
         "conclusions": draft_report.conclusions(evaluation),
