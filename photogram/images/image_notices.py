@@ -171,8 +171,8 @@ GREY_FIT_DISAGREES = DeclaredNotice(
 PATTERN_CORRECTED = DeclaredNotice(
     "SC-214",
     "note",
-    "The fixed pattern of the image sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
-    "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
+    "The fixed pattern of the image sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} "
+    "px (rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
     effect="This is corrected by the growth of the misfit with the motion. {u_percent:.2g} % (u) remain, which are in "
     "U: also by cells of the image that err alike in every period.",
     remedy="For a smaller uncertainty state `dark` and `flat` images of each camera.",
