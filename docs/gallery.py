@@ -60,7 +60,7 @@ GALLERY = {
     "compare": Entry(
         (*_SWEEP, *_COMPARED, "compare first=out/sweep second=out/other -o out/compare"),
         "out/compare/comparison.html",
-        "Two campaigns compared: degrees of equivalence over frequency",
+        "Two campaigns with two sensors of one type compared: degrees of equivalence",
     ),
     "targets": _made(
         "targets",
