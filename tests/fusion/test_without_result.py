@@ -127,7 +127,8 @@ def test_the_deviation_from_the_static_value_has_one_u(tmp_path, stated):
     assert main(["run", str(tmp_path), "-o", str(tmp_path / "results"), "-q"]) == 0
     top = tmp_path / "results"
     found = [
-        re.findall(r"static value, difference ([^<]+)<", (folder / "report.html").read_text()) for folder in (top, top / "one")
+        re.findall(r"static value, difference ([^<]+)<", (folder / "report.html").read_text())
+        for folder in (top, top / "one")
     ]
     u = np.hypot(1e-3, stated.get("static_sensitivity_uncertainty", 1e-3))  # of the accelerometer, of the static value
     assert found[0] == found[1] == [f"(0.00 ± {196 * u:.2f}) %"]
