@@ -30,8 +30,10 @@ PROGRAM = "shakercal"
 
 
 def count_text(count: int, what: str) -> str:
-    """Return a number with its noun, such as `1 recording` and `2 recordings`."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
+    """Return a number with its noun, such as `1 recording`, `2 recordings`, `3 frequencies`."""
+    if count == 1:
+        return f"1 {what}"
+    return f"{count} {what.removesuffix('y')}ies" if what.endswith("cy") else f"{count} {what}s"
 
 
 # Files of a command: unchanged inputs, new outputs.

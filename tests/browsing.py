@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 SCREENS = ((1400, 900), (800, 1000))
 _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-figure]")].every((one) => {
@@ -98,3 +101,30 @@ def marks_of_pages(file: Path) -> list[int]:
         content = zlib.decompressobj().decompress(rest[rest.index(b"stream") + 6 :].lstrip(b"\r\n"))
         counts.append(len(re.findall(rb"\b(?:Tj|TJ|Do)\b", content)))
     return counts
+
+
+@contextmanager
+def viewer_pages(browser: Any, expected: str = "(?!)", timeout_ms: int = 8000) -> Iterator[Callable[..., Any]]:
+    """Open pages of the viewer; at the end nothing but `expected` was complained of, and nobody else asked."""
+    said: list[str] = []
+    asked: list[str] = []
+    contexts = []
+
+    def open_page(client: Any, wait: str = "body[data-frame]", **settings: Any) -> Any:
+        context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(timeout_ms)
+        page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(client.server.address)
+        page.wait_for_selector(wait)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [text for text in said if not re.search(expected, text)] == []
+    assert asked
+    assert all(urlsplit(url).hostname == "127.0.0.1" or url.startswith(("data:", "blob:")) for url in asked)

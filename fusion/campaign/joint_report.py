@@ -414,15 +414,11 @@ def _heading(evaluation: CampaignEvaluation, best: Sequence[Sequence[CurvePoint]
     """Return what a campaign measured, empty without a result."""
     if evaluation.matrices:
         channels, count = len(evaluation.matrices[0].channels), len(evaluation.matrices)
-        return f"{channels} × 6 matrix of sensitivities at {_frequencies(count)}"
+        return f"{channels} × 6 matrix of sensitivities at {count_text(count, 'frequency')}"
     if not best:
         return ""
     loads = ", ".join(points[0].component for points in best)
-    return f"Sensitivity to {loads} at {_frequencies(max(map(len, best)))}"
-
-
-def _frequencies(count: int) -> str:
-    return "1 frequency" if count == 1 else f"{count} frequencies"
+    return f"Sensitivity to {loads} at {count_text(max(map(len, best)), 'frequency')}"
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:

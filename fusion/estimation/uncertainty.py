@@ -160,6 +160,14 @@ class Uncertainty:
         """Return the uncertainty of the values times complex factors (K, C)."""
         return self.transformed(real_stacked_diagonal(np.asarray(factor, dtype=np.complex128)))
 
+    def relative_to(self, value: ComplexArray) -> Uncertainty:
+        """Return the uncertainty of ln|X| and arg X of values X (K, C).
+
+        dX/X = d ln|X| + j d arg X (JCGM 102, 9.4); NaN for zero.
+        """
+        usable = np.isfinite(value) & (value != 0.0)
+        return self.scaled(np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable))
+
     def plus(self, other: Uncertainty) -> Uncertainty:
         """Return the uncertainty of a sum; effects of equal names add linearly."""
         random = merge_contributions([*self.random, *other.random])

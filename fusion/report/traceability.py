@@ -19,7 +19,6 @@ from fusion.report.labelled_results import read_results
 from fusion.report.report_notices import NO_SENSITIVITY_TO_EXPORT
 from fusion.report.table import Table, TableColumn, csv_text, page_column, table, text_column
 from fusion.sensitivity.input_evidence import InputEvidence
-from shaker.sine.phasor import real_stacked_diagonal
 from shakercal._common.arrays import ComplexArray, FloatArray
 
 SMALLEST_SHARE = 0.01
@@ -75,9 +74,7 @@ def trace_inputs(
     With dX/X = d ln|X| + j d arg X, the variances are those of magnitude (relative) and phase. Unknowns that one key
     states are one input.
     """
-    usable = np.isfinite(value) & (value != 0.0)
-    turn = np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable)
-    relative = uncertainty.transformed(real_stacked_diagonal(turn))
+    relative = uncertainty.relative_to(value)
     total = relative.covariance.diagonal(axis1=1, axis2=2)
     rows = {row.unknown: row for row in reversed(tuple(evidence))}
     variances: dict[str, FloatArray] = {}

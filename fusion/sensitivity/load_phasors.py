@@ -37,7 +37,7 @@ from fusion.sensitivity.sensitivity_notices import (
 )
 from photogram.geometry import skew
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
-from shaker.sine.phasor import Phasors, real_stacked, real_stacked_diagonal
+from shaker.sine.phasor import Phasors, real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -409,9 +409,7 @@ def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, 
     In the order of first appearance. With dX/X = d ln|X| + j d arg X the contributions are those to X turned and
     divided by X (JCGM 102, 9.4). Effects of one unknown through outputs and load are added before any square.
     """
-    usable = np.isfinite(value) & (value != 0.0)
-    turn = np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable)
-    relative = uncertainty.transformed(real_stacked_diagonal(turn))
+    relative = uncertainty.relative_to(value)
     unknowns: dict[str, list[Influence]] = {}
     for influence in relative.influences:
         unknowns.setdefault(influence.label, []).append(influence)

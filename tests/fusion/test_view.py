@@ -23,6 +23,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from browsing import viewer_pages
 from cluster_factory import environment, wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -529,29 +530,8 @@ def test_the_redirect_file_goes_with_the_server(tmp_path, demo_recording):
 
 @pytest.fixture
 def opened(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open a viewer's page; at the end nothing was complained of, and nobody else asked."""
-    said: list[str] = []
-    asked: list[str] = []
-    contexts = []
-
-    def open_page(client: Client, wait: str = "body[data-frame]", **settings: Any) -> Any:
-        context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
-        contexts.append(context)
-        page = context.new_page()
-        page.set_default_timeout(8000)
-        page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(client.server.address)
-        page.wait_for_selector(wait)
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert said == []
-    assert asked
-    assert all(urlsplit(url).hostname == "127.0.0.1" or url.startswith(("data:", "blob:")) for url in asked)
+    with viewer_pages(browser) as open_page:
+        yield open_page
 
 
 def shade(page: Any, canvas: str) -> str:

@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
+from browsing import viewer_pages
 
 from fusion.planning.planning_notices import RECORDING_CHANGED
 from fusion.recording.load import load_manifest
@@ -24,7 +25,7 @@ from fusion.report.field_data import field_quantities, read_pair_fields
 from fusion.report.figure import PURPLE, SOURCE_COLOUR
 from fusion.report.recording_report import write_results
 from fusion.report.report_notices import OTHER_STRUCTURE
-from tests.fusion.test_view import Client, served
+from tests.fusion.test_view import served
 
 SIZE = (304, 240)  # px of the demo's images
 EXPECTED = "status of 400"
@@ -42,25 +43,8 @@ def until(page: Any, condition: str) -> None:
 
 @pytest.fixture
 def opened(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open a viewer's page; at the end nothing was complained of."""
-    said: list[str] = []
-    contexts = []
-
-    def open_page(client: Client, wait: str = "body[data-frame]", **settings: Any) -> Any:
-        context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
-        contexts.append(context)
-        page = context.new_page()
-        page.set_default_timeout(20_000)
-        page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.goto(client.server.address)
-        page.wait_for_selector(wait)
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert [text for text in said if not re.search(EXPECTED, text)] == []
+    with viewer_pages(browser, EXPECTED, timeout_ms=20_000) as open_page:
+        yield open_page
 
 
 @pytest.fixture

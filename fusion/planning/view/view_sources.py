@@ -46,6 +46,9 @@ def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
     folders = [path] if (path / RESULT_FILE).is_file() else sorted(one.parent for one in path.glob(f"*/{RESULT_FILE}"))
     recorded = [_recorded(folder) for folder in folders]
     if not any(there for _, there in recorded):
+        for folder in folders[:1]:
+            with open_results(folder / RESULT_FILE):
+                pass  # damaged results have a sentence of their own
         raise InputError(RECORDING_MOVED, path, recording=str(recorded[0][0]) if recorded else "an unknown place")
     return [ViewSource(one, folder) for folder, (one, _) in zip(folders, recorded, strict=True)]
 

@@ -163,15 +163,12 @@ const fieldCanvas = (() => {
     const decimals = Math.max(0, 1 - Math.floor(Math.log10(high - low)));
     return [low, (low + high) / 2, high].map(x => signed(x.toFixed(decimals)));
   }
-  return { make, decode, table, values, probe, scale, median };
+  return { make, decode, table, values, probe, scale, median, ends };
 })();
 
 (() => {
   const TURN_S = 2.0, STEP = 15, LINES = 9, DEG = Math.PI / 180, KIND = { model: "model of a rigid body", measured: "measured", shapes: "shapes fitted to all pixels", score: "score" };
-  const spread = list => { // of 100 normal numbers below 6.6 σ in 99 %
-    const kept = [...list].filter(Number.isFinite);
-    return kept.length ? Math.max(...kept) - Math.min(...kept) : Infinity;
-  };
+  const spread = list => { const [low, high] = fieldCanvas.ends(list); return high - low; }; // of 100 normal numbers below 6.6 σ in 99 %
 
   function start(panel) {
     const part = name => panel.querySelector(`[data-field="${name}"]`);

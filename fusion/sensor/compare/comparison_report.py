@@ -193,13 +193,6 @@ def _source(result: ComparedResult) -> str:
     return f"{result.name} ({result.file}{repeats})"
 
 
-def _contradiction(evaluation: ComparisonEvaluation) -> str:
-    """Return a sentence if results differ by more than U, otherwise nothing."""
-    found = evaluation.quantities
-    above = sum(one.largest > 1.0 for one in found)
-    return f"Results differ: |E_n| above 1 at {above} of {len(found)} values." if above else ""
-
-
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     columns: list[TableColumn[ComparedQuantity]] = [
         page_column("element", lambda f: f"{f.channel} per {f.component}", "l"),
@@ -232,9 +225,10 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         *draft_report.element_columns(lambda entry: entry[1]),
     ]
     dated = [found for found in evaluation.quantities if found.per_year is not None]
+    (judged,) = verdict(evaluation)
     return {
         "subject": [("Results", ", ".join(map(_source, evaluation.results)))],
-        "contradiction": _contradiction(evaluation),
+        "contradiction": f"{judged.label}: {judged.value}." if judged.label == DIFFER else "",
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
         "figures": [draft_report.draw_equivalence(evaluation, _main(evaluation))],
         "conclusions": draft_report.conclusions(evaluation),
@@ -254,6 +248,9 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     }
 
 
+DIFFER = "Results differ"
+
+
 def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
     """Return whether the results agree, and the largest difference over its U."""
     found = evaluation.quantities
@@ -264,7 +261,7 @@ def verdict(evaluation: ComparisonEvaluation) -> list[Headline]:
     value = f"U covers all {len(found)} values" if not above else f"U does not cover {above} of {len(found)} values"
     size = f"largest |E_n| of a pair {signed_text(worst.largest)}: {worst.names[first]} and {worst.names[second]}"
     what = f"{worst.quantity} of {worst.channel} per {worst.component}, {worst.frequency_hz:.4f} Hz"
-    return [Headline("Results agree" if not above else "Results differ", value, f"{size}, {what}")]
+    return [Headline("Results agree" if not above else DIFFER, value, f"{size}, {what}")]
 
 
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
