@@ -65,8 +65,7 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
     much. Where the best fit is far from the noise it may be a wrong one, and the best start without a fit is returned
     too.
     """
-    offers: list[tuple[float, PoleCandidate]] = []
-    plain = offers[:]
+    offers, plain = list[tuple[float, PoleCandidate]](), list[tuple[float, PoleCandidate]]()
 
     def offer(lagged: Poles, moved: Sequence[ReleaseTiming]) -> None:
         times = []
