@@ -53,6 +53,7 @@ gallery: .venv/dev
 # Every picture of the docs, in a browser where they show pages; the published set-up is rendered, which takes minutes.
 # That of the DIC Challenge needs the pictures and the interpreter of an installed pyvale.
 docs-pictures: .venv/dev
+	$(BIN)/python docs/drawings
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python benchmarks/published.py --docs docs
 	$(if $(and $(PYVALE_DATA),$(PYVALE_PYTHON)),$(BIN)/python benchmarks/challenge.py --package $(PYVALE_DATA) \

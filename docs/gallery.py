@@ -2,7 +2,7 @@
 
 Every preset is simulated and evaluated. The pages go to build/gallery/pages, from where `make docs` takes them into the
 site, their first screens as thumbnails to docs/images/gallery, and the list to docs/gallery.md. The first screen of the
-demo recording is the picture of the README: docs/images/first-screen.png, and first-screen.webp in motion.
+demo recording, in motion, is the picture of the README: docs/images/first-screen.webp.
 """
 
 from __future__ import annotations
@@ -159,7 +159,6 @@ def make_gallery(chosen: list[str]) -> None:
             first, *more = first_screens(browser, path, IMAGES_OF_A_PERIOD if name == "demo" else 1)
             _smaller(first, THUMBNAIL).save(thumbnails / f"{name}.webp", quality=70, method=6)
             if more:
-                first.save(DOCS / "images" / "first-screen.png", optimize=True)
                 _save_animated([_smaller(image, ANIMATED) for image in (first, *more)])
             print(f"{name}: {os.path.getsize(path) / 1e6:.2f} MB", flush=True)
     from marked import write_marked

@@ -106,3 +106,18 @@ def test_tables_of_modules_are_the_first_lines_of_their_docstrings() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     for name, table in modules.module_tables().items():
         assert f"<!-- {name} -->\n{table}\n<!-- end of {name} -->\n" in page, "run: python docs/modules.py"
+
+
+def test_every_image_is_shown_and_every_drawing_is_made() -> None:
+    images = {path.relative_to(ROOT / "docs/images").as_posix() for path in (ROOT / "docs/images").rglob("*.*")}
+    texts = [path.read_text(encoding="utf-8") for path in DOCUMENTS + [ROOT / "docs" / name for name in INSIDE]]
+    shown = {name for text in texts for name in re.findall(r"images/([\w./-]+\.(?:png|webp|svg))", text)}
+    assert images == shown
+    functions = re.findall(
+        r"^def ([a-z]\w*)\(\)", "".join(map(_text, (ROOT / "docs/drawings").glob("*.py"))), re.MULTILINE
+    )
+    assert {f"{name}.png" for name in functions} <= images
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")

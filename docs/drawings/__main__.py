@@ -1,0 +1,30 @@
+"""Draw the figures of the documents: `python docs/drawings [NAME ...]`, all without a name.
+
+Every other file of this folder has a tuple `DRAWINGS` of functions without arguments that return a figure;
+`docs/images/NAME.png` has the name of its function.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+from style import write_drawing
+
+
+def draw(names: list[str]) -> int:
+    """Write the drawings of some names, or all."""
+    modules = sorted(path.stem for path in Path(__file__).parent.glob("*.py") if path.stem not in ("__main__", "style"))
+    drawings = {
+        function.__name__: function for module in modules for function in importlib.import_module(module).DRAWINGS
+    }
+    if unknown := sorted(set(names) - set(drawings)):
+        sys.exit(f"no drawing {', '.join(unknown)}: there are {', '.join(drawings)}")
+    for name in names or drawings:
+        print(write_drawing(drawings[name](), name))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(draw(sys.argv[1:]))
