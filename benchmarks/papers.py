@@ -44,12 +44,10 @@ def spacing_rows() -> list[tuple[str, ...]]:
         errors = (
             2 * off(lambda r: r.maximum_bin.frequency_hz, f0),
             2 * off(lambda r: r.maximum.frequency_hz, f0),
-            2 * off(lambda r: r.circle.frequency_hz, f0),
             off(lambda r: r.half_amplitude.damping_ratio, zeta),
             off(lambda r: r.half_power.damping_ratio, zeta),
-            off(lambda r: r.circle.damping_ratio, zeta),
         )
-        rows.append((f"{name}, {load} kg", f"{f0} Hz", f"{0.5 / zeta:.0f}", f"{lines:.1f}", *map(_percent, errors)))
+        rows.append((f"{name}, {load} kg", f"{0.5 / zeta:.0f}", f"{lines:.1f}", *map(_percent, errors)))
     return rows
 
 
@@ -75,8 +73,8 @@ def tables() -> dict[str, list[str]]:
     }
     every = {**parts, "sensitivity": sensitivity, **of_wrist, **of_load}
     found = {name: _table(head, rows()) for name, rows in every.items()}
-    fine = ("resonance", "f₀", "Q", "lines in Δf", "k: line of maximum", "k: maximum", "k: circle")
-    return {**found, "spacing": _table((*fine, "b: half amplitude", "b: half power", "b: circle"), spacing_rows())}
+    fine = ("resonance", "Q", "lines in Δf", "k: line of maximum", "k: maximum", "b: half amplitude", "b: half power")
+    return {**found, "spacing": _table(fine, spacing_rows())}
 
 
 def _table(head: tuple[str, ...], rows: list[Row] | list[tuple[str, ...]]) -> list[str]:

@@ -46,8 +46,11 @@ nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # types of NumPy and of Pytho
 
 
 def commands() -> str:
-    """Return the page of all commands: what each says when it is asked for help."""
-    lines = ["# Commands", "", "What `shakercal COMMAND --help` tells; options of all commands stand at the end.", ""]
+    """Return the page of all commands with their help."""
+    purpose = (
+        "Help of every command, as `shakercal COMMAND --help` prints it. [Overview](../overview.md) sorts them by task."
+    )
+    lines = ["# Commands", "", purpose, ""]
     (all_of_them,) = (a for a in _parser()._actions if isinstance(a, _SubParsersAction))
     for name, parser in all_of_them.choices.items():
         parser.prog = f"shakercal {name}"
