@@ -230,6 +230,15 @@ def test_every_toml_example_is_toml_that_loads(make_campaign):
     assert ResponseColumns(**columns["response_columns"]).k == 2.0
     (elastic,) = (text["load"]["elastic"][0] for text in every if "elastic" in text.get("load", {}))
     assert Elastic(**elastic).shape == "rod"
+    (acknowledged,) = (text["acknowledged"][0] for text in every if "acknowledged" in text)
+    assert Acknowledgement(**acknowledged).code == "SC-485"
+    (surface,) = (pair["surface"] for text in every for pair in text.get("stereo", {}).values() if "surface" in pair)
+    assert SurfacePlane(**surface).normal == (0.0, 1.0, 0.0)
+    (camera,) = (pair["left"] for text in every for pair in text.get("stereo", {}).values() if "left" in pair)
+    assert camera.keys() <= SensorOfCamera.model_fields.keys()
+    (take,) = (text["take"][0] for text in every if "take" in text)
+    channels = [ChannelEntry(**channel) for channel in take["daq"][0]["channel"]]
+    assert [channel.reference for channel in channels] == [False, True]
     manifest = load_manifest(make_campaign())
     pair = manifest.rig.stereo["top"]
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
