@@ -77,7 +77,7 @@ def motion() -> list[Row]:
         Row(
             *("frequency of component 2", "424.9472 Hz", "residual 2.3 µm, 3.97 s", f"{off_hz:+.4f} Hz", EXPLAINED),
             f"from 425 Hz, {abs(off_hz) / u_frequency:.1f} standard deviations: a motion of 1.96 to 2.01 Hz in the "
-            f"cameras' data, where 425 Hz folds to {beat[3]:.3f} Hz",
+            f"cameras' data, where 425 Hz aliases to {beat[3]:.3f} Hz",
         ),
         Row("beat", "0.502 Hz", "106.25 Hz, 52.874 Hz", f"{beat[0]:.3f} Hz", HOLDS),
         Row(
