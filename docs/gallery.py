@@ -21,6 +21,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from fusion.cli import main
+from fusion.report.summary_pdf import find_browser
 
 DOCS = Path(__file__).resolve().parent
 BUILT = DOCS.parent / "build" / "gallery" / "pages"
@@ -120,11 +121,8 @@ class Laboratory:
 @contextmanager
 def browser_and_laboratory() -> Iterator[tuple[Any, Laboratory]]:
     """Open the system's Chromium, and a folder for commands."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        sys.exit("docs: expected Chromium, found none")
     with tempfile.TemporaryDirectory() as name, sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        browser = started.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])
         yield browser, Laboratory(Path(name))
         browser.close()
 
