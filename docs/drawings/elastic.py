@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,8 +43,8 @@ def cross_beam() -> Figure:
             )
             ends = [(side * arm, end * (length / 2 + 2.5), 7.0, 5.0) for end in (-1.0, 1.0)]
             for kind, group in ((steel, boxes), (rim, ends)):
-                for x, y, w, h in group:
-                    x, y, w, h = (x, y, w, h) if horizontal else (y, x, h, w)
+                for box in group:
+                    x, y, w, h = box if horizontal else (box[1], box[0], box[3], box[2])
                     axes.add_patch(Rectangle((x - w / 2, y - h / 2), w, h, **kind))
     axes.add_patch(Rectangle((-half, -half), 2 * half, 2 * half, facecolor="#fde8d0", edgecolor=BLACK))
     axes.text(0, 0, "platform", ha="center", va="center")
