@@ -133,7 +133,7 @@ def damping_laws() -> Figure:
     middle.plot(ratio, loss * ratio, color=BLUE)
     middle.plot(ratio, np.full(100, loss), color=ORANGE, linestyle="--")
     middle.axhline(1.0, color=GREY, linewidth=0.8)
-    middle.text(3.0, 0.93, "storage: k", ha="right", va="top", fontsize=8, color=GREY)
+    middle.text(0.3, 0.97, "storage: k", ha="left", va="top", fontsize=8, color=GREY)
     middle.text(1.9, 0.62, "loss: ωb", ha="right", fontsize=8, color=BLUE)
     middle.text(3.0, 0.27, "loss: ηk", ha="right", va="top", fontsize=8, color=ORANGE)
     middle.set(
