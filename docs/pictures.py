@@ -21,11 +21,11 @@ PICTURES = {
     "fields": ("demo", ".fields .controls", ".fields figure:last-of-type"),
     "campaign": ("matrix", "header", ".front"),
     "step": ("steps", "#figure-step-Fz", "#figure-bode-Fz"),
-    "compensate": ("compensate", "figure", "figure"),
-    "decouple": ("decouple", "figure", "figure"),
-    "load": ("loads", "figure", "figure"),
-    "identify": ("masses", "figure", "figure"),
-    "elastomer": ("elastomer", "figure", "figure"),
+    "compensate": ("compensate", "#figure-step-0", "#figure-step-0"),
+    "decouple": ("decouple", "#figure-decouple-crosstalk", "#figure-decouple-crosstalk"),
+    "load": ("loads", "#figure-load-Fy", "#figure-load-Fy"),
+    "identify": ("masses", "#figure-fit-z-0", "#figure-fit-z-0"),
+    "elastomer": ("elastomer", "#figure-elastomer-shapes-frame", "#figure-elastomer-shapes-frame"),
     "cameras": ("targets", "figure", "figure"),
 }
 """Entry of the gallery, and the first elements that a picture begins and ends with."""
