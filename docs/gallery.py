@@ -108,13 +108,17 @@ class Laboratory:
         """Return the path of the page of an entry."""
         (self.place / entry.page).parent.mkdir(parents=True, exist_ok=True)
         for command in entry.commands:
-            if command not in self._done:
-                with chdir(self.place):
-                    status = main([*command.split(), "-q", "--force"])
-                if status:
-                    sys.exit(f"docs/gallery.py: {command}: expected exit status 0, found {status}")
-                self._done.add(command)
+            self.run(command)
         return self.place / entry.page
+
+    def run(self, command: str) -> None:
+        """Run a command in the folder, unless it has been run."""
+        if command not in self._done:
+            with chdir(self.place):
+                status = main([*command.split(), "-q", "--force"])
+            if status:
+                sys.exit(f"docs/gallery.py: {command}: expected exit status 0, found {status}")
+            self._done.add(command)
 
 
 @contextmanager
