@@ -63,7 +63,7 @@ def make_pictures(chosen: list[str]) -> None:
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
             _keep(browser, laboratory.page(GALLERY[entry]), IMAGES / f"{picture}.png", *ends)
-        for name, picture in (("certificate", _certificate), ("viewer", _viewer)):
+        for name, picture in (("certificate", _certificate), ("viewer", _viewer), ("light", _light)):
             if not chosen or name in chosen:
                 picture(browser, laboratory)
     if not chosen or "plan" in chosen:
@@ -118,6 +118,22 @@ def _certificate(browser: Any, laboratory: Laboratory) -> None:
     page.goto((laboratory.place / "out" / "certificate" / "certificate.html").as_uri())
     page.wait_for_timeout(500)
     _write(page.screenshot(), IMAGES / "certificate.png")
+    page.close()
+
+
+def _light(browser: Any, laboratory: Laboratory) -> None:
+    """Write the page of `look` for the demo recording with ten times the scale of its laser."""
+    laboratory.page(GALLERY["demo"])
+    manifest = laboratory.place / "demo" / "Fz-0080" / "recording.toml"
+    stated = manifest.read_text(encoding="utf-8")
+    manifest.write_text(re.sub(r"^scale = 0.1$", "scale = 1.0", stated, flags=re.MULTILINE), encoding="utf-8")
+    page_file = laboratory.place / "light.html"
+    main(["look", str(manifest.parent), "--page", str(page_file), "-q"])
+    manifest.write_text(stated, encoding="utf-8")
+    page = browser.new_page(viewport={"width": 1000, "height": 560})
+    page.goto(page_file.as_uri())
+    page.wait_for_timeout(500)
+    _write(page.screenshot(), IMAGES / "light.png")
     page.close()
 
 
