@@ -66,7 +66,7 @@ def matrix_equation() -> Figure:
         loads.append(np.abs(world.load_wrench[0]) / capacity)
         outputs.append(np.abs(world.outputs[0]) / rated)
         matrix = 100.0 * np.abs(world.sensitivity[0]) * capacity / rated[:, None]
-    figure, axes = new_figure(2.9, 1, 3, width_ratios=(8, 6, 8))
+    figure, axes = new_figure(2.5, 1, 3, width_ratios=(8, 6, 8))
     excitations = [f"{axis} {arm}".strip() for axis, arm in SETUPS]
     parts = (
         (axes[0], 100 * np.array(outputs).T, "outputs / %", excitations),
@@ -78,7 +78,7 @@ def matrix_equation() -> Figure:
         for (row, column), value in np.ndenumerate(values):
             text = f"{value:.0f}" if value >= 9.5 else f"{value:.1f}" if value >= 0.05 else "0"
             shade = "white" if value > 3 else "black"
-            panel.text(column, row, text, ha="center", va="center", fontsize=6.5, color=shade)
+            panel.text(column, row, text, ha="center", va="center", fontsize=7.5, color=shade)
         panel.set_title(title)
         panel.set_xticks(range(len(names)), names, rotation=60, fontsize=7.5)
         panel.set_yticks(range(6), LOAD_COMPONENTS, fontsize=7.5)
@@ -177,7 +177,7 @@ def stroboscope() -> Figure:
         right.plot(rates, seen, linewidth=2.2 if number == 0 else 1.0, label=f"{number + 1}")
     right.fill_between(rates, PREFERRED[0] * rates, PREFERRED[1] * rates, color=GREEN, alpha=0.12, linewidth=0)
     for chosen, colour, side in ((rate, GREEN, "left"), (52.874, RED, "right")):
-        right.axvline(chosen, color=colour, linestyle=":")
+        right.plot([chosen, chosen], [0.0, 46.0], ":", color=colour)
         right.text(chosen, 44.0, f" {chosen:.2f} ", color=colour, fontsize=8, ha=side)
     right.set(xlabel="camera rate / Hz", ylabel="seen at / Hz", ylim=(0, 54), title="Aliases of the harmonics 1 to 5")
     right.legend(
