@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +74,7 @@ def clock_tie() -> Figure:
     axes.set(xlabel="time of the second clock / s", ylabel="first − second clock\n− 13.5 ms / µs")
     axes.legend(fontsize=8, loc="lower right")
     axes.set_title(
-        f"Tie of two clocks: rate {1e6 * (tie.rate - 1.0):.1f} ± {2e6 * tie.covariance[1, 1] ** 0.5:.1f} µs/s (true: 20)"
+        f"Tie of two clocks: rate {1e6 * (tie.rate - 1.0):.1f} ± {2e6 * tie.covariance[1, 1] ** 0.5:.1f} µs/s (true 20)"
     )
     return figure
 
@@ -201,13 +200,21 @@ def locked_errors() -> Figure:
     axes.set(ylabel="rms error of the output's time / µs", ylim=(0.02, 100.0))
     axes.yaxis.label.set_size(8)
     axes.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
-    axes.set_xticks(
-        np.arange(len(names)),
-        [re.sub(", ", ",\n", name).replace("no lock: ", "no lock:\n").replace(" samples", "") for name in names],
-        fontsize=7,
-    )
+    short = {
+        "bridge at": "bridge\nat",
+        "ideal low": "ideal\nlow",
+        "rise of one ": "rise of\none\n",
+        "RC of half a ": "RC of\nhalf a\n",
+    }
+    labels = [
+        name.replace(", ", ",\n").replace("no lock: ", "no lock:\n").replace("500.382 samples", "500.382")
+        for name in names
+    ]
+    for long, broken in short.items():
+        labels = [label.replace(long, broken) for label in labels]
+    axes.set_xticks(np.arange(len(names)), labels, fontsize=7)
     axes.legend(fontsize=8, ncols=3)
-    axes.set_title("Drift of locked edges over the record, in samples: what the motion adds")
+    axes.set_title("Time error of the output, over the drift of the edges in samples per record")
     return figure
 
 

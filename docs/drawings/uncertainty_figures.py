@@ -264,7 +264,7 @@ def violated_assumptions() -> Figure:
     }
     handles = [Rectangle((0, 0), 1, 1, color=colour) for colour in colours.values()]
     axes.legend(handles, texts.values(), loc="lower right", fontsize=8)
-    axes.set_title("Which violated assumption moves the result how far")
+    axes.set_title("Shift of the most affected result by each violated assumption (rig in brackets)")
     return figure
 
 
@@ -288,22 +288,22 @@ def validation_deviations() -> Figure:
 
 
 def other_physics_coverage() -> Figure:
-    """Draw U over the necessary size and the largest silent error of every case under other physics."""
+    """Draw U over the necessary size of every case under other physics."""
     rows = _table("other-physics.md", "other physics")
     commands = list(dict.fromkeys(row[0] for row in rows))
     figure, axes = new_figure(2.8)
     for place, command in enumerate(commands):
-        own = [row for row in rows if row[0] == command and row[3]]
-        ratios = np.array([float(row[3].partition(",")[0]) for row in own])
+        own = [row for row in rows if row[0] == command and row[4]]
+        ratios = np.array([float(row[4].partition(",")[0]) for row in own])
         spread = place + np.linspace(-0.3, 0.3, len(own))
-        named = np.array([bool(row[4]) for row in own])
+        named = np.array([bool(row[5]) for row in own])
         axes.semilogy(
             spread[~named],
             ratios[~named],
             "o",
             color=BLUE,
             ms=4,
-            label=None if place else "assumptions hold, or no notice",
+            label="" if place else "no notice, or none needed",
         )
         axes.semilogy(
             spread[named],
@@ -311,11 +311,11 @@ def other_physics_coverage() -> Figure:
             "s",
             color=ORANGE,
             ms=4,
-            label=None if place else "a notice names the departure",
+            label="" if place else "a notice names the departure",
         )
     axes.axhline(1.0, color=GREY, lw=0.8)
     axes.set_xticks(range(len(commands)), commands)
-    axes.set(ylabel="U / needed (median over quantities)", ylim=(0.4, 6.0))
+    axes.set(ylabel="U / needed (median over quantities)", ylim=(0.4, 8.0))
     axes.yaxis.label.set_size(8)
     axes.set_yticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])
     axes.minorticks_off()
