@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, FancyBboxPatch, Rectangle
+from scipy.stats import chi2, ncx2
 from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
 
 from fusion import Settings, evaluate_recording, load_manifest
@@ -96,6 +97,50 @@ def demo_budget() -> Figure:
         axes.set_xlim(0.0, 1.22 * max(sizes.values()))
         axes.set_xlabel(f"contribution to u / {unit}")
         axes.set_title(f"{part}: u = {total:.2g} {unit}")
+    return figure
+
+
+def undetected_error() -> Figure:
+    """Draw how far the error of one laser point moves a rotation, and how often the test detects it."""
+    figure, (left, right) = new_figure(2.7, 1, 2)
+    error = np.linspace(0.0, 14.0, 200)
+    for count, colour in ((4, ORANGE), (8, BLUE)):
+        angle = 2.0 * np.pi * np.arange(count) / count
+        design = np.stack([np.ones(count), np.sin(angle), -np.cos(angle)], axis=1)  # z, rx, ry at unit radius
+        gain = np.linalg.pinv(design)
+        redundancy = 1.0 - float((design @ gain)[0, 0])
+        shift = abs(gain[2, 0]) / np.linalg.norm(gain[2]) / region_factor(np.inf) * error
+        free = 2 * (count - 3)  # real and imaginary part of every contrast
+        left.plot(error, shift, color=colour, label=f"{count} points")
+        detected = ncx2.sf(chi2.isf(0.01, free), free, redundancy * error**2)
+        right.plot(error, 100.0 * detected, color=colour, label=f"{count} points")
+    left.axhline(1.0, color=GREY, lw=0.8, ls=":")
+    left.set(
+        xlabel="error of one point / its u", ylabel="shift of a rotation / its U", title="Effect", ylim=(0.0, None)
+    )
+    right.set(xlabel="error of one point / its u", ylabel="detected at 1 % / %", title="Detection")
+    left.legend()
+    return figure
+
+
+def inclined_drive() -> Figure:
+    """Draw the limit of an error by unobserved motion over the angle between drive and measured direction."""
+    figure, axes = new_figure(2.5)
+    angle = np.linspace(0.0, 88.0, 400)
+    q = np.cos(np.radians(angle))
+    for limit, colour in ((0.02, GREEN), (0.05, BLUE), (0.1, ORANGE)):
+        error = limit * np.minimum(np.sqrt(1.0 - q**2), q) / q**2
+        axes.plot(
+            angle[error < 1.0], 100.0 * error[error < 1.0], color=colour, label=f"other motion below {100 * limit:g} %"
+        )
+    axes.set(
+        xlabel="angle between driven and measured direction / °",
+        ylabel="largest error / %",
+        ylim=(0.0, 60.0),
+        xlim=(0.0, 90.0),
+    )
+    axes.set_title("Error of the driven motion by motion that no instrument observes")
+    axes.legend()
     return figure
 
 
@@ -264,7 +309,7 @@ def violated_assumptions() -> Figure:
     }
     handles = [Rectangle((0, 0), 1, 1, color=colour) for colour in colours.values()]
     axes.legend(handles, texts.values(), loc="lower right", fontsize=8)
-    axes.set_title("Shift of the most affected result by each violated assumption (rig in brackets)")
+    axes.set_title("Shift of a result by each violated assumption (rig in brackets)")
     return figure
 
 
@@ -344,6 +389,8 @@ def _table(page: str, name: str) -> list[list[str]]:
 DRAWINGS = (
     measurement_model,
     demo_budget,
+    undetected_error,
+    inclined_drive,
     coverage_factors,
     complex_region,
     coverage_histogram,
