@@ -231,9 +231,10 @@ def faulty_session(
     return calibration, normalised_errors(calibration, rig, float(rng.choice(faults.growth(views))))
 
 
+FAULTS_SHOWN = ("none", "all of these", "focal lengths warm up by 0.05 %", "all with faults")
 PAGE_TABLES: dict[str, tuple[tuple[int, ...], Callable[[list[str]], bool]]] = {
-    "faults": ((0, 1, 5, 6, 7, 8), lambda cells: cells[1] != "8" or cells[0] in ("none", "all of these")),
-    "held": ((0, 1, 3, 4, 6, 7), lambda cells: cells[1] != "2"),
+    "faults": ((0, 1, 5, 6, 7, 8), lambda cells: cells[0] in FAULTS_SHOWN),
+    "held": ((0, 1, 4, 6, 7), lambda cells: cells[1] != "2" and "trembles" not in cells[0]),
 }
 """Columns and rows of the tables that the page shows."""
 HELD_POSES = 10
