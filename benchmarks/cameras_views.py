@@ -182,8 +182,7 @@ def _errors(phasors: Phasors, true: ComplexArray) -> Iterator[tuple[int, list[tu
 
 SOURCES = {"photogrammetry": "cameras", "vibrometer": "lasers", "fused": "all"}
 ARRANGED = (
-    "| cameras | x / nm | y / nm | z / nm | rx / µrad | ry / µrad | rz / µrad | combined | joint fit | stated u "
-    "| largest difference / u |"
+    "| cameras | x / nm | y / nm | z / nm | rx / µrad | ry / µrad | rz / µrad | combined | joint | stated | Δ / u |"
 )
 COVERED = "| cameras | result of | u of x, y, z / (m/s²) | u of rx, ry, rz / (rad/s²) | error over u, rms | within ±U |"
 

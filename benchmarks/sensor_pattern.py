@@ -60,17 +60,17 @@ class Defects:
 
 DEFECTS = (
     Defects("none"),
-    Defects("PRNU 0.25 %, DSNU 0.025 %", 0.0025, 0.00025),
-    Defects("PRNU 0.5 %, DSNU 0.05 %", 0.005, 0.0005),
-    Defects("PRNU 1 %, DSNU 0.1 %", 0.01, 0.001),
+    Defects("PRNU 0.25 %", 0.0025, 0.00025),
+    Defects("PRNU 0.5 %", 0.005, 0.0005),
+    Defects("PRNU 1 %", 0.01, 0.001),
     Defects("columns 0.2 %", columns=0.002),
     Defects("100 dust shadows", dust=100),
 )
 SHOWN = {
-    *((motion, name, "unknown") for motion in (0.05, 0.3, 1.0, 3.0) for name in ("PRNU 1 %, DSNU 0.1 %",)),
-    *((motion, name, "unknown") for motion in (0.05, 0.3, 1.0) for name in ("PRNU 0.5 %, DSNU 0.05 %",)),
+    *((motion, "PRNU 1 %", "unknown") for motion in (0.05, 0.3, 1.0, 3.0)),
+    *((motion, "PRNU 0.5 %", "unknown") for motion in (0.05, 0.3, 1.0)),
     *((motion, name, "unknown") for motion in (0.05, 0.3) for name in ("columns 0.2 %", "100 dust shadows")),
-    *((motion, "PRNU 1 %, DSNU 0.1 %", "dark and flat") for motion in (0.05, 0.3)),
+    *((motion, "PRNU 1 %", "dark and flat") for motion in (0.05, 0.3)),
 }
 """Amplitude, pattern and knowledge of the page's rows, at contrast 0.3."""
 MOTIONS = ((0.05, 0.3), (0.3, 0.3), (0.3, 0.64), (1.0, 0.3), (3.0, 0.3))

@@ -114,7 +114,7 @@ def target_kinds() -> Figure:
         rotation = turn @ flip
         pose = RigidTransform(rotation, np.array([0.0, 0.0, distance]) - rotation @ middle)
         image = render_board(camera, pose, board, 0.5, falloff=0.0)
-        axis.imshow(np.round(6 * image) / 6, cmap="gray", vmin=0, vmax=0.9, interpolation="nearest")
+        axis.imshow(np.round(8 * image) / 8, cmap="gray", vmin=0, vmax=0.9, interpolation="nearest")
         axis.set(xticks=[], yticks=[], title=name)
         for side in ("left", "bottom"):
             axis.spines[side].set_visible(False)

@@ -66,8 +66,8 @@ def instrument_places() -> Figure:
     _note(axes, (6.4, 23.8), "speckle on the load", (14, 24.0))
     _note(axes, (5.8, 15.0), "accelerometer near the axis, cable fixed to the table", (14, 9.0), VIOLET)
     axes.add_patch(Rectangle((5.0, 14.6), 1.6, 1.3, facecolor=VIOLET))
-    axes.plot([-4, -12, -20], [16.4, 20.5, 18.6], color=GREY, linewidth=1.2)
-    axes.text(-20.5, 18.8, "sensor cable: loose loop,\nfixed 10 cm away", ha="right", va="center", fontsize=8)
+    axes.plot([-4, -11, -20], [16.4, 18.8, 15.6], color=GREY, linewidth=1.2)
+    axes.text(-20.5, 15.6, "sensor cable: loose loop,\nfixed 10 cm away", ha="right", va="center", fontsize=8)
     target = np.array([0.0, 24.1])
     for sign in (-1.0, 1.0):
         place = np.array([sign * 9.4, 46.0])

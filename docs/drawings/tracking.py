@@ -256,7 +256,7 @@ def fixed_pattern() -> Figure:
         variance = prnu**2 * np.mean(grey**2) + (0.1 * prnu) ** 2
         overlap = pattern_overlap(along, 5)[1] * pattern_overlap(across, 5)[0]
         error = -variance / slope * 2.0 * np.mean(overlap * wave, axis=1) / (DIRECTION[0] * amplitude)
-        name = f"PRNU {100 * prnu:g} %, DSNU {10 * prnu:g} %"
+        name = f"PRNU {100 * prnu:g} %"
         axes.semilogx(amplitude, 100.0 * error, color=colour, label=name)
         points = _benchmark_points(name)
         axes.plot(points[:, 0], points[:, 1], "o", color=colour, markersize=4)
