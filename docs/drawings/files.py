@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
-from recording import write_title
 from style import BLUE, GREY, ORANGE, RED, new_figure
 
 from fusion.recording.response import read_response
@@ -43,7 +42,7 @@ def files_stereo() -> Figure:
         va="bottom",
         ha="center",
     )
-    write_title(above, "The pair from above, y down")
+    above.set_title("The pair from above, y down")
     pixels.set(xlim=(-0.9, 4.6), ylim=(3.7, -1.1), aspect="equal")
     pixels.axis("off")
     for row in range(4):
@@ -57,7 +56,7 @@ def files_stereo() -> Figure:
     pixels.text(1.75, -0.8, "x", style="italic", va="center")
     pixels.annotate("", (-0.75, 1.6), (-0.75, -0.5), arrowprops={"arrowstyle": "-|>", "color": DARK})
     pixels.text(-0.75, 1.95, "y", style="italic", ha="center")
-    write_title(pixels, "An integer is the middle of a pixel")
+    pixels.set_title("An integer is the middle of a pixel")
     return figure
 
 
@@ -92,7 +91,7 @@ def files_response() -> Figure:
     size.set_yticklabels(["0.1", "0.2", "0.5", "1", "2"])
     size.minorticks_off()
     phase.set(ylabel="phase / °", xlabel="frequency / Hz", xlim=(0.3, 20e3))
-    write_title(size, "Response of the example: charge amplifier, anti-alias filter, mounted accelerometer")
+    size.set_title("Response of the example: charge amplifier, anti-alias filter, mounted accelerometer")
     return figure
 
 

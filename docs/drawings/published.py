@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
-from recording import write_title
 from scipy.optimize import brentq
 from style import BLUE, GREEN, GREY, ORANGE, RED, new_figure
 
@@ -47,7 +46,7 @@ def papers_damping() -> Figure:
         peak.annotate("", (inside[0], level), (inside[-1], level), arrowprops={"arrowstyle": "<|-|>", "color": colour})
         peak.text(inside[-1] + 2.0, level, f"at {text}: {np.ptp(inside):.1f} Hz", color=colour, fontsize=8, va="center")
     peak.set(xlabel="frequency / Hz", ylabel="amplitude / maximum", ylim=(0, 1.1), xlim=(1430, 1535))
-    write_title(peak, "Resonance of Fz: two widths")
+    peak.set_title("Resonance of Fz: two widths")
 
     time = np.linspace(0.0, 5e-3, 2001)
 
@@ -63,8 +62,8 @@ def papers_damping() -> Figure:
     step.axhline(1.0 + OVERSHOOT, color=GREY, lw=0.8, ls="--")
     step.text(5.0, 1.0 + OVERSHOOT + 0.04, "overshoot 92.6 %", color=GREY, fontsize=8, ha="right")
     step.set(xlabel="time after the release / ms", ylabel="output / final value", ylim=(0, 2.75))
-    step.legend(loc="upper left", frameon=False, fontsize=8)
-    write_title(step, "Two sensors with the same overshoot")
+    step.legend(loc="upper left", fontsize=8)
+    step.set_title("Two sensors with the same overshoot")
     return figure
 
 
@@ -82,8 +81,8 @@ def papers_band() -> Figure:
         axes.plot(hertz, gain, color=colour, label=f"{name}: within ±10 % up to {limit:.0f} Hz")
         axes.axvline(limit, color=colour, lw=0.9, ls="--")
     axes.set(xlabel="frequency / Hz", ylabel="gain / static gain", xlim=(0, 1600), ylim=(0, 2.2))
-    axes.legend(loc="upper right", frameon=False)
-    write_title(axes, "The published compensation widens the band to 473 Hz")
+    axes.legend(loc="upper right")
+    axes.set_title("The published compensation widens the band to 473 Hz")
     return figure
 
 

@@ -107,7 +107,7 @@ def recording_times() -> Figure:
     above.axhline(2.5, color=GREY, lw=0.8, ls=":")
     above.text(-19.0, 2.65, "threshold", color=GREY, fontsize=8)
     above.set(ylabel="trigger / V", ylim=(-0.6, 9.0))
-    write_title(above, "A frame is dated at edge + delay + exposure / 2")
+    above.set_title("A frame is dated at edge + delay + exposure / 2")
     above.set_yticks([0, 5])
     above.plot([0.0], [2.5], "o", color=DARK, ms=4)
     for start, stop, height, text, colour in (
@@ -164,15 +164,10 @@ def elastic_effect() -> Figure:
         [1000, 1000], [100 * np.interp(1000, hertz, joint), 100 * np.interp(1000, hertz, rod)], "o", color=GREY, ms=3
     )
     axes.set(xlabel="frequency / Hz", ylabel="error of m·a / %")
-    write_title(axes, "A load that is taken as rigid overestimates the force")
+    axes.set_title("A load that is taken as rigid overestimates the force")
     axes.set(xlim=(0, 2000), ylim=(0, None))
-    axes.legend(loc="upper left", frameon=False)
+    axes.legend(loc="upper left")
     return figure
-
-
-def write_title(axes: Axes, text: str) -> None:
-    """Write the title of a panel, at its left."""
-    axes.set_title(text, loc="left", fontsize=9.5, weight="bold")
 
 
 def _blank(height_in: float, x: tuple[float, float], y: tuple[float, float]) -> tuple[Figure, Axes]:

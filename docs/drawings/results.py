@@ -17,7 +17,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
-from recording import write_title
 from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
 
 from fusion import Settings, run_path
@@ -78,8 +77,8 @@ def result_budget() -> Figure:
     for kind, colour in (("Type A: from the scatter", ORANGE), ("Type B: stated", BLUE)):
         axes.barh([0], [0], color=colour, label=kind)
     axes.set(xlabel="relative standard uncertainty of the sensitivity / %")
-    axes.legend(loc="center right", frameon=False)
-    write_title(axes, "Nine largest contributions, demo recording")
+    axes.legend(loc="center right")
+    axes.set_title("Nine largest contributions, demo recording")
     return figure
 
 
@@ -93,8 +92,8 @@ def result_curve() -> Figure:
     above.axhline(2.0, color=RED, lw=1.0, ls="--", label="static sensitivity")
     above.set(ylabel="S / (10⁻⁷ (V/V)/N)")
     below.set(ylabel="phase / rad", xlabel="frequency / Hz", xlim=(0, 1080))
-    above.legend(loc="lower left", frameon=False)
-    write_title(above, "Sensitivity Fz of a simulated campaign: every bar covers the true curve")
+    above.legend(loc="lower left")
+    above.set_title("Sensitivity Fz of a simulated campaign: every bar covers the true curve")
     return figure
 
 
@@ -154,7 +153,7 @@ def result_region() -> Figure:
         panel.axvline(0.0, color=GREY, lw=0.6)
         panel.plot([0], [0], "o", color=RED, ms=4)
         panel.set(aspect="equal", xlabel="real part")
-        write_title(panel, title)
+        panel.set_title(title)
     _polar_errors(strong, 1.0 + 0.7j, np.array([[0.010, 0.006], [0.006, 0.008]]))
     reach = 2.448 * np.sqrt([0.010, 0.016])
     weak.annotate("", (0.16, 0.1), (0.16 + reach[0], 0.1), arrowprops={"arrowstyle": "<|-|>", "color": ORANGE})
