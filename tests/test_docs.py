@@ -108,6 +108,12 @@ def test_tables_of_modules_are_the_first_lines_of_their_docstrings() -> None:
         assert f"<!-- {name} -->\n{table}\n<!-- end of {name} -->\n" in page, "run: python docs/modules.py"
 
 
+def test_the_version_to_cite_is_that_of_the_program() -> None:
+    version = importlib.import_module("shakercal").__version__
+    assert f"version: {version}\n" in _text(ROOT / "CITATION.cff")
+    assert set(re.findall(r"\b\d+\.\d+\.\d+\b", _text(ROOT / "docs" / "citation.md"))) == {version}
+
+
 def test_every_image_is_shown_and_every_drawing_is_made() -> None:
     images = {path.relative_to(ROOT / "docs/images").as_posix() for path in (ROOT / "docs/images").rglob("*.*")}
     texts = [path.read_text(encoding="utf-8") for path in DOCUMENTS + [ROOT / "docs" / name for name in INSIDE]]
