@@ -39,6 +39,7 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline"]
 html_theme, html_title = "furo", f"shakercal {release}"  # in the header of every page
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
+html_show_search_summary = False  # would fetch the pages found, which browsers refuse for files
 html_extra_path = [str(GALLERY)] if GALLERY.is_dir() else []
 highlight_language = "none"
 nitpicky = True

@@ -79,6 +79,8 @@ def test_the_site_is_made_without_a_warning_and_asks_for_nothing(tmp_path: Path)
     ]
     told = subprocess.run(build, capture_output=True, text=True, check=False)
     assert (told.returncode, told.stderr) == (0, "")
+    options = _text(tmp_path / "_static" / "documentation_options.js")
+    assert "SHOW_SEARCH_SUMMARY: false" in options  # summaries would be fetched, which files do not allow
     for page in tmp_path.rglob("*.html"):
         addresses = re.findall(r'(?:src|href)="(https?://[^"]*)"', page.read_text(encoding="utf-8"))
         loaded = [a for a in addresses if re.search(r"\.(js|css|woff2?|png)(\?|$)", a)]
