@@ -1,14 +1,14 @@
-"""Whole commands from start to end: wall time, CPU time and memory, alone or beside those of another checkout.
+"""Whole commands from start to end: CPU time and memory, alone or compared with those of another checkout.
 
 Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOLDER] [--docs docs]
 
-Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
-times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
-simulated `nitsche2018` (844 images of 640 x 512 px, 12 bit, deflated), which takes two minutes to render and is kept in
---keep; the same with cameras of 1280 x 1024 px and some 1000 subsets in each takes four minutes and 1.4 GB, and is run
-on one core too. `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases of preset `steps`,
-`cameras` the images of preset `targets`, `compensate` uses the models of `elastomer`. With --docs the table goes to
-performance.md there, without the other checkout.
+Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest time
+counts. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a simulated
+`nitsche2018` (844 images of 640 x 512 px, 12 bit, deflated), which takes two minutes to render and is kept in --keep;
+the same with cameras of 1280 x 1024 px and some 1000 subsets in each takes four minutes and 1.4 GB. `lines` reads 30
+million samples; `step` and `decouple` fit the 19 releases of preset `steps`, `cameras` the images of preset `targets`,
+`compensate` uses the models of `elastomer`. CPU time depends little on other programs of the machine. With --docs the
+table goes to performance.md there, without the other checkout.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,18 +34,16 @@ SAMPLES, RATE_HZ = 30_000_000, 51_200.0
 
 @dataclass(frozen=True)
 class Case:
-    """A command, its name in the table, its arguments, on one core or all."""
+    """A command: its name in the table, its arguments."""
 
     name: str
     arguments: tuple[str, ...]
-    one_core: bool = False
 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took."""
+    """Resources that a process used."""
 
-    wall_s: float
     cpu_s: float
     peak_mb: float
 
@@ -54,7 +51,6 @@ class Spent:
 def cases(kept: Path, results: Path) -> list[Case]:
     """Return the commands by kind."""
     recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
-    large = ("run", str(kept / "large" / recording.name), *run)
     pictures, charuco = (str(kept / "targets" / side) for side in ("left", "right")), ("--target", "charuco")
     models = kept / "elastomer" / "models.json"
     free = (*charuco, "--size", "11x8", "--spacing", "9e-3", "--shape", "free", "-o", f"{results}.json", *run[2:])
@@ -63,9 +59,7 @@ def cases(kept: Path, results: Path) -> list[Case]:
         Case("`check` of the demo", ("check", str(DEMO), "-q")),
         Case("`run` of the demo, 96 images of 304 × 240 px", ("run", str(DEMO / "Fz-0080"), *run)),
         Case("`run`, 844 images of 640 × 512 px", ("run", str(recording), *run)),
-        Case("the same with `--workers 2`", ("run", str(recording), *run, "--workers", "2")),
-        Case("`run`, 844 images of 1280 × 1024 px", large),
-        Case("the same on one core", large, one_core=True),
+        Case("`run`, 844 images of 1280 × 1024 px", ("run", str(kept / "large" / recording.name), *run)),
         Case("`lines`, 30 million samples", ("lines", str(kept / "long.h5"), "-q")),
         Case("`cameras --shape free`, 2 × 10 images", ("cameras", *pictures, *free)),
         Case("`step --method all`, 19 releases", ("step", str(kept / "steps"), "--method", "all", *run)),
@@ -97,17 +91,14 @@ def make_inputs(kept: Path) -> None:
 
 
 def spent(checkout: Path, case: Case) -> Spent:
-    """Run a command of a checkout and return what it took; its own message where it fails."""
-    place = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); " if case.one_core else ""
-    program = [sys.executable, "-c", f"{place}from fusion.cli import main; raise SystemExit(main())", *case.arguments]
+    """Run a command of a checkout and return its resources; exit with its status if it fails."""
+    program = [sys.executable, "-c", "from fusion.cli import main; raise SystemExit(main())", *case.arguments]
     with tempfile.TemporaryFile() as told:
-        started = time.perf_counter()
         process = subprocess.Popen(program, cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)}, stdout=told)
         _, status, used = os.wait4(process.pid, 0)
-        wall_s = time.perf_counter() - started
     if status:
         raise SystemExit(f"shakercal {' '.join(case.arguments)}: ended with status {status >> 8}")
-    return Spent(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    return Spent(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 
 
 def row(case: Case, checkouts: list[Path], repeats: int) -> str:
@@ -118,10 +109,10 @@ def row(case: Case, checkouts: list[Path], repeats: int) -> str:
             found = spent(checkout, case)
             if number > 0:  # the first one compiles
                 all_of_it.append(found)
-    wall, cpu = ([min(getattr(one, name) for one in each) for each in taken] for name in ("wall_s", "cpu_s"))
-    before = f" {wall[1]:.2f} ({wall[1] / wall[0]:.2f}×) | {cpu[1]:.2f} ({cpu[1] / cpu[0]:.2f}×) |" if wall[1:] else ""
+    cpu_s = [min(one.cpu_s for one in each) for each in taken]
+    before = f" {cpu_s[1]:.1f} ({cpu_s[1] / cpu_s[0]:.2f}×) |" if cpu_s[1:] else ""
     peak = max(one.peak_mb for one in taken[0])
-    return f"| {case.name} | {wall[0]:.1f} | {cpu[0]:.1f} | {peak:.0f} |{before}"
+    return f"| {case.name} | {cpu_s[0]:.1f} | {peak:.0f} |{before}"
 
 
 def main() -> None:
@@ -135,9 +126,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         kept = Path(scratch) if options.keep is None else options.keep.resolve()
         make_inputs(kept)
-        rows = [row(case, checkouts, options.repeats) for case in cases(kept, Path(scratch) / "results")]
-    before = " wall s before | CPU s before |" if options.before else ""
-    table = markdown_table(f"| command | time / s | CPU time / s | peak memory / MB |{before}", rows)
+        rows = []
+        for case in cases(kept, Path(scratch) / "results"):
+            rows.append(row(case, checkouts, options.repeats))
+            print(rows[-1], flush=True)
+    before = " CPU time before / s |" if options.before else ""
+    table = markdown_table(f"| command | CPU time / s | peak memory / MB |{before}", rows)
     print(table)
     if options.docs and not options.before:
         write_marked(options.docs / "performance.md", {"commands": table})

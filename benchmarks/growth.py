@@ -138,7 +138,8 @@ def main() -> None:
     parser.add_argument("--staged", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
-        run_one(*options.one, options.staged)
+        recording, results = options.one
+        run_one(recording, results, options.staged)
         return
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
