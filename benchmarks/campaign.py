@@ -1,9 +1,9 @@
 """One campaign here, by two processes and on a Dask cluster of two workers: the same tables, and how long each takes.
 
-    python benchmarks/campaign.py [--recordings 48] [--folder FOLDER] [--docs docs]
+    python benchmarks/campaign.py [--recordings 48] [--folder FOLDER]
 
 Recordings of another program's points (preset `sweep`: 12 frequencies, 4 recordings each) with their reports, computed
-one way after the other on the same machine. With --docs the table goes to performance.md there.
+one way after the other on the same machine. Prints a table.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-from marked import markdown_table, write_marked
 
 from fusion.base import Settings
 from fusion.campaign.run import run_path
@@ -64,13 +62,15 @@ def tables(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.csv")}
 
 
-def main(recordings: int, folder: Path) -> str:
-    """Return the table of all ways."""
+def main(recordings: int, folder: Path) -> None:
+    """Print one row for each way."""
     campaign = folder / "campaign"
     simulate(campaign, "sweep", 1, recordings=recordings)
+    print("| computed by | s | of the serial run | tables equal to the serial run's |")
+    print("|---|---|---|---|")
     serial = timed(campaign, folder / "serial")
     expected = tables(folder / "serial")
-    rows = [f"| one process | {serial:.0f} | 1 | {len(expected)} |"]
+    print(f"| this process | {serial:.0f} | 1 | {len(expected)} |", flush=True)
     with cluster(folder) as address:
         ways: dict[str, int | str] = {f"{WORKERS} processes": WORKERS, f"Dask, {WORKERS} workers": address}
         for number, (name, workers) in enumerate(ways.items()):
@@ -78,18 +78,13 @@ def main(recordings: int, folder: Path) -> str:
             seconds = timed(campaign, out, workers)
             found = tables(out)
             equal = sum(found.get(table) == content for table, content in expected.items())
-            rows.append(f"| {name} | {seconds:.0f} | {seconds / serial:.2f} | {equal} of {len(expected)} |")
-    return markdown_table("| computed by | time / s | relative | identical tables |", rows)
+            print(f"| {name} | {seconds:.0f} | {seconds / serial:.2f} | {equal} of {len(expected)} |", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=int, default=48, help="how many (default: 48)")
     parser.add_argument("--folder", type=Path, help="where everything is kept (default: nowhere)")
-    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        table = main(options.recordings, Path(temporary) if options.folder is None else options.folder)
-    print(table)
-    if options.docs:
-        write_marked(options.docs / "performance.md", {"campaign": table})
+        main(options.recordings, Path(temporary) if options.folder is None else options.folder)

@@ -183,9 +183,9 @@ def time_over_frames() -> Figure:
     time.plot([0.0, images[-1]], [start, start + slope * images[-1]], color=BLUE, linewidth=1.0)
     time.text(0.05, 0.9, f"{start:.1f} s + {1e3 * slope:.0f} ms per image", transform=time.transAxes)
     time.set(xlabel="images", ylabel="CPU time / s", xlim=(0.0, None), ylim=(0.0, None))
-    _title(time, "Time grows in proportion to the images")
+    _title(time, "Time: a constant and a share of each image")
     memory.plot(images, peak_mb, "o-", color=ORANGE)
-    memory.set(xlabel="images", ylabel="peak memory / MB", xlim=(0.0, None), ylim=(0.0, None))
+    memory.set(xlabel="images", ylabel="peak memory / MB", xlim=(0.0, None), ylim=(0.0, 1.2 * peak_mb.max()))
     _title(memory, "Memory hardly grows")
     return figure
 
@@ -200,7 +200,7 @@ def time_by_stage() -> Figure:
     axes.set_yticks(place, names)
     for y, one in zip(place, share, strict=True):
         axes.text(one + 0.4, y, f"{one:.0f} %", va="center", fontsize=8.0)
-    axes.set(xlabel="share of the CPU time / %")
+    axes.set(xlabel="share of the CPU time / %", xlim=(0.0, 1.15 * share.max()))
     _title(axes, "Most of the time is spent on the images")
     return figure
 
