@@ -7,7 +7,6 @@ evaluated, and a simulated campaign of 48 recordings, which takes two minutes.
 from __future__ import annotations
 
 import argparse
-import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from playwright.sync_api import sync_playwright
 from fusion.campaign import joint_report
 from fusion.cli import main
 from fusion.report import recording_report
+from fusion.report.summary_pdf import find_browser
 
 PRESETS = {
     "demo": ("Fz-0080/report.html", recording_report, "render_report"),
@@ -69,9 +69,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     with tempfile.TemporaryDirectory() as name, sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        browser = started.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])
         rows = measure(Path(name), browser)
         browser.close()
     table = markdown_table("| page | size / MB | CPU time / s | usable after / s |", rows)

@@ -10,7 +10,8 @@ import importlib
 import sys
 from pathlib import Path
 
-from style import write_drawing
+import matplotlib as mpl
+from style import RC, write_drawing
 
 
 def draw(names: list[str]) -> int:
@@ -21,8 +22,9 @@ def draw(names: list[str]) -> int:
     }
     if unknown := sorted(set(names) - set(drawings)):
         sys.exit(f"no drawing {', '.join(unknown)}: there are {', '.join(drawings)}")
-    for name in names or drawings:
-        print(write_drawing(drawings[name](), name))
+    with mpl.rc_context(RC):
+        for name in names or drawings:
+            print(write_drawing(drawings[name](), name))
     return 0
 
 

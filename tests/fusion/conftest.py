@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,9 @@ from fusion import simulate_preset
 from fusion.base import Settings, versions
 from fusion.campaign.executor import one_blas_thread
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.load import Manifest, find_recordings, load_manifest
+from fusion.report.summary_pdf import find_browser
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 
@@ -42,8 +43,9 @@ exposure = 40e-6
 def browser() -> Iterator[Any]:
     """Headless Chromium of the system."""
     api = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
+    try:
+        program = find_browser()
+    except InputError:
         pytest.skip("no Chromium on this system")
     with api.sync_playwright() as started:
         try:
