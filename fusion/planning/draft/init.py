@@ -200,7 +200,9 @@ def _summary(surveyed: SurveyedRecording) -> str:
     files = f"{len(readable)} recorder file{'s' if len(readable) > 1 else ''}"
     texts = [f"{files} with {channels}"] if readable else []
     for sight in inventory.camera_systems:
-        texts.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
+        kind = "camera" if sight.right is None else "stereo pair"
+        called = kind if sight.name in kind.split() else f"{kind} {sight.name}"
+        texts.append(f"{called} of {sight.left.frames} frames")
     texts += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     texts += [f"points {table.path.name}" for table in inventory.points]
     texts += [f"response {path.name}" for path in inventory.responses]
