@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -114,24 +115,27 @@ def test_files_without_names_and_units_need_few_more_values(tmp_path: Path) -> N
     forget_names(folder / "Fz_063Hz_1")
     calibration = str(tmp_path / "files" / "Kalibrierung" / "stereo.yml")
     assert main(["import-calibration", calibration, "-o", str(folder / "stereo.json")]) == 0
-    known = {"Kanal 1.quantity": "velocity", "quantity": "output", "channels": '["Fx", "Fy", "Fz", "Mx", "My", "Mz"]'}
-    known |= {"unit": "V/V", "defaults.scale": "1e-3", "channel": "F", "mass": "2.4063 ± 0.0004 (k = 2)"}
+    known = {"Kanal 1.quantity": "velocity", "quantity": "output", "channels": "Fx Fy Fz Mx My Mz"}
+    known |= {"unit": "V/V", "defaults.scale": "1e-3", "mass": "2.4063 ± 0.0004 (k = 2)"}
     known |= {"sense": "on_sensor", "point": "0 0 0.069", "direction": "0 0 1", "exposure": "60e-6"}
     known |= {"scale": "0.1 ± 0.1 % (k = 2)", "rotation": "1 0 0 0 -1 0 0 0 -1", "translation": "0 0 0.4"}
     known |= {"internal_mass": "0.214", "centre_of_mass": "0 0 0.0385", "inertia": "2e-3 2e-3 2e-3"}
     known |= {"scale_uncertainty": "2e-4"}
     asked: list[str] = []
-    outputs = iter(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))
 
     def reply(question: str) -> str:
         key = re.findall(r"^\d+ left\. (.*?): ", question, re.MULTILINE)[-1]
         asked.append(key)
         end = max((end for end in known if key == end or key.endswith(f".{end}")), key=len)
-        return next(outputs) if end == "channel" else known[end]
+        return known[end]
 
     assert run_init(folder, reply=reply).unfilled == 0, asked
     assert len(asked) <= MOST_TYPED_WITHOUT_UNITS
     assert check(load_manifest(folder / "Fz_063Hz_1")).problems == ()
+    text = tomllib.loads((folder / "Fz_063Hz_1" / "recording.toml").read_text(encoding="utf-8"))
+    channels = [channel for block in text["daq"] for channel in block["channel"]]
+    outputs = {channel["name"]: channel["channel"] for channel in channels if channel["quantity"] == "output"}
+    assert outputs == {"AI0": "Fx", "AI1": "Fy", "AI2": "Fz", "AI3": "Mx", "AI4": "My", "AI5": "Mz"}
 
 
 def test_lines_are_compared_by_text_and_by_numbers_within_their_digits() -> None:

@@ -1,4 +1,4 @@
-"""A simulated campaign as the files of a laboratory: named by recorder and cameras, without manifests."""
+"""Simulated files of a laboratory, named by recorder and cameras, without manifests."""
 
 from __future__ import annotations
 

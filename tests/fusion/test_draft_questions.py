@@ -164,6 +164,7 @@ def test_a_file_answers_replaces_guesses_and_uncomments_keys(tmp_path, demo_reco
         ("2.4", "mass", 2.4),
         ("2,4", "mass", 2.4),
         ("on_load", "sense", "on_load"),
+        ("Fx, Fy Fz", "channels", ["Fx", "Fy", "Fz"]),
         ('"pulse"', "exposure", "pulse"),
         ("0 0 1", "direction", [0.0, 0.0, 1.0]),
         ("(0,5; 0; 1)", "direction", [0.5, 0.0, 1.0]),

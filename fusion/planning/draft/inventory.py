@@ -236,7 +236,7 @@ def _daq(path: Path) -> FoundDaq:
 
 
 def _short_names(path: Path, names: Iterable[str]) -> dict[str, str]:
-    """Return the names that may stand for those of a file: of TDMS without group, of a table without unit."""
+    """Return the short names of channels: without the group of TDMS, the unit of tables."""
     suffix = path.suffix.lower()
     short = {
         name: name.rpartition("/")[2] if suffix == TDMS else split_unit(name)[0] if suffix in TABLES else name

@@ -123,7 +123,8 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
         yield key_line("channels", named, "its outputs in the files")
     else:
         yield question_line(
-            "channels", f'the names of its outputs, such as ["Fx", "Fy", "Fz"]; {len(outputs)} were found'
+            "channels",
+            f"the names of its outputs in the order of the channels, such as Fx Fy Fz; {len(outputs)} were found",
         )
     if units <= {"mv/v", "v/v"}:
         yield key_line("unit", "V/V", "of the outputs after their scale")
