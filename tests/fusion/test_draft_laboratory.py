@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -9,11 +10,13 @@ from typing import Any
 
 import h5py
 import pytest
+from calibration_files import write_all
 from support import folder_contents
 
 from fusion.cli import main
 from fusion.planning.check import check
 from fusion.planning.draft.init import run_init
+from fusion.planning.draft.inventory import find_foreign_calibration
 from fusion.planning.planning_notices import MANIFEST_EXISTS
 from fusion.recording.load import load_manifest
 from fusion.simulate import simulate
@@ -92,6 +95,30 @@ def test_a_further_recording_of_numbered_files_asks_for_nothing(campaign: Path, 
     assert stated == [("Messung_0002", "Messung_0002.csv"), ("Bruecke_0002", "Bruecke_0002.tdms")]
     manifest = load_manifest(campaign / "Fz_125Hz_1")
     assert (manifest.mounting, check(manifest).problems) == ("2", ())
+
+
+def test_a_calibration_of_another_program_leads_to_the_command_that_converts_it(files: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    shutil.copytree(files / "Fz_063Hz_1", folder / "Fz_063Hz_1")
+    shutil.copytree(files / "Kalibrierung", folder / "Kalibrierung")
+    text = run_init(folder).files[folder / "rig.toml"]
+    (command,) = re.findall(r"\(shakercal (import-calibration .*?)\)", text)
+    assert main(command.split()) == 0
+    (folder / "rig.toml").unlink()
+    (folder / "Fz_063Hz_1" / "recording.toml").unlink()
+    text = run_init(folder).files[folder / "rig.toml"]
+    assert tomllib.loads(text)["stereo"]["pair"]["calibration"] == "stereo.json"
+
+
+@pytest.mark.parametrize(
+    "name", ["opencv.yml", "storage.xml", "dice.xml", "vic3d.xml", "a.caldat", "kalibr.yaml", "ros.yaml"]
+)
+def test_calibrations_of_other_programs_are_recognised(name: str, tmp_path: Path) -> None:
+    write_all(tmp_path)
+    (tmp_path / "lab").mkdir()
+    shutil.copy(tmp_path / name, tmp_path / "lab" / name)
+    (tmp_path / "lab" / "notes.xml").write_text("<notes>made on Monday</notes>")
+    assert find_foreign_calibration(tmp_path / "lab") == tmp_path / "lab" / name
 
 
 def test_results_are_no_recording(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -158,6 +158,16 @@ def test_a_file_answers_replaces_guesses_and_uncomments_keys(tmp_path, demo_reco
     assert not (place / "rig.toml").exists()
 
 
+def test_outputs_without_names_have_the_stated_ones_in_their_order(tmp_path, demo_recording):
+    place = one_laser_and_one_pair(tmp_path, demo_recording, False)
+    (tmp_path / "answers.toml").write_text(
+        'channels = ["Fz", "Mz"]\nai0.quantity = "output"\nai1.quantity = "output"\n'
+    )
+    files = run_init(place, answers=tmp_path / "answers.toml").files
+    (block,) = tomllib.loads(files[place / "recording.toml"])["daq"]
+    assert [(entry["name"], entry.get("channel")) for entry in block["channel"][:2]] == [("ai0", "Fz"), ("ai1", "Mz")]
+
+
 @pytest.mark.parametrize(
     ("text", "key", "value"),
     [

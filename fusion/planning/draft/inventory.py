@@ -34,6 +34,9 @@ UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 LEAST_COUNT = 8  # samples that may be numbers of rows
 TABLE_KEYS = {"frequency_hz"}
+FOREIGN = (".yml", ".yaml", ".xml", ".caldat")
+FOREIGN_WORDS = re.compile(rb"opencv-matrix|opencv_storage|camera_m(atrix|odel)|<calibration|Cam0_Fx|<ParameterList")
+"""Suffixes and words of stereo calibrations of other programs."""
 HDF5 = (".h5", ".hdf5")
 TDMS, TABLES = ".tdms", (".csv", ".txt", ".dat")
 TEXTS = (".txt", ".dat")  # of recorders or of people
@@ -364,6 +367,17 @@ def find_calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
             if is_calibration and isinstance(size, list) and len(size) == 2:
                 found[path] = size[0], size[1]
     return found
+
+
+def find_foreign_calibration(folder: Path) -> Path | None:
+    """Return the first file of another program's stereo calibration in a folder or directly below."""
+    found = [path for pattern in ("*", "*/*") for path in sorted(folder.glob(pattern))]
+    for path in found:
+        if path.suffix.lower() in FOREIGN and path.is_file():
+            with suppress(OSError), path.open("rb") as stream:
+                if FOREIGN_WORDS.search(stream.read(1 << 16)):
+                    return path
+    return None
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from fusion.planning.draft.inventory import (
     FoundPoints,
     Inventory,
     find_calibrations,
+    find_foreign_calibration,
     states_scale,
 )
 from fusion.recording.instruments import LIBRARY_NAME, find_library
@@ -163,7 +164,9 @@ def _sight(
                 "calibration", "a file of shakercal cameras --mono, or of a pair whose left camera it is"
             )
         else:
-            yield question_line("calibration", "a file of shakercal cameras or import-calibration")
+            foreign = find_foreign_calibration(root)
+            how = f" (shakercal import-calibration {foreign} -o {root / 'stereo.json'})" if foreign else ""
+            yield question_line("calibration", f"a file of shakercal cameras or import-calibration{how}")
     frame = ("camera" if alone else "left camera") if is_camera else "points"
     yield question_line(
         "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"

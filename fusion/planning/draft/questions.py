@@ -152,7 +152,10 @@ def with_answers(files: Mapping[Path, str], answers: Path, redraft: Redraft) -> 
         if name not in used:
             expected = "the end of a key's path in a drafted file, such as load.mass"
             raise InputError(UNUSED_ANSWER, answers, name, found="no such key", expected=expected)
-    return made
+    texts = {path: text.splitlines() for path, text in made.items()}
+    names = next((value for name, value in stated.items() if name.rpartition(".")[2] == "channels"), None)
+    _name_outputs(questions_of(made), texts, names)
+    return {path: "\n".join(lines) + "\n" for path, lines in texts.items()}
 
 
 def _flat(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
