@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from nameless_files import forget_names
+from recordings import make_once
 from support import complex_of, rows, truth_of
 
 from docs.walkthrough import LANGUAGES, ROOT, Step, blocks, follow, same_line
@@ -57,8 +58,12 @@ def test_a_page_can_be_followed(page: Path, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Step]]:
     """The folder in which the tutorial of a laboratory was followed, and its steps."""
-    folder = tmp_path_factory.mktemp("laboratory")
-    return folder, go(LABORATORY, folder)
+
+    def make(folder: Path) -> tuple[Path, list[Step]]:
+        folder.mkdir()
+        return folder, go(LABORATORY, folder)
+
+    return make_once(tmp_path_factory, "followed-laboratory", make)
 
 
 def test_few_values_are_typed_and_one_check_suffices(followed: tuple[Path, list[Step]]) -> None:
