@@ -16,6 +16,7 @@ from typing import Any
 
 from gallery import GALLERY, Laboratory, browser_and_laboratory
 from PIL import Image
+from walkthrough import follow
 
 from fusion.cli import main
 from fusion.planning.view.server import Server
@@ -54,12 +55,26 @@ CERTIFIED = {
 A4_PX = (794, 1123)
 VIEWER_PX = 860
 SPECIMEN = "certificate demo/Fz-0080 --results out/demo/Fz-0080 --form form.toml --specimen -o out/certificate"
+TUTORIAL = {
+    "tutorial-rig": "rig.html",
+    "tutorial-recording": "lab/results/Fz_063Hz_1/report.html",
+    "tutorial-campaign": "lab/results/report.html",
+    "tutorial-certificate": "lab/certificate/certificate.html",
+}
+"""First screens of the pages that docs/tutorials/own-laboratory.md writes."""
+FIRST_SCREEN, SHOWN_WIDTH = {"width": WIDTH, "height": 830}, 900
 PLAN = "plan --frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211 --force --figure"
 
 
 def make_pictures(chosen: list[str]) -> None:
     """Make the pictures of some names, or all."""
     with browser_and_laboratory() as (browser, laboratory):
+        if not chosen or set(chosen) & set(TUTORIAL):
+            folder = laboratory.place / "tutorial"
+            folder.mkdir()
+            for step in follow(IMAGES.parent / "tutorials" / "own-laboratory.md", folder):
+                print(step.command)
+            keep_first_screens(browser, folder)
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
             _keep(browser, laboratory.page(GALLERY[entry]), IMAGES / f"{picture}.png", *ends)
@@ -73,6 +88,18 @@ def make_pictures(chosen: list[str]) -> None:
             script = IMAGES.parents[1] / "examples" / f"{example}.py"
             words = [sys.executable, str(script), str(IMAGES / f"{example}.png")]
             subprocess.run(words, cwd=IMAGES.parents[1], check=True)
+
+
+def keep_first_screens(browser: Any, folder: Path) -> None:
+    """Write the first screens of the tutorial's pages."""
+    for name, path in TUTORIAL.items():
+        page = browser.new_page(viewport=FIRST_SCREEN)
+        page.goto((folder / path).as_uri())
+        page.wait_for_timeout(1500)
+        screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        page.close()
+        height = round(screen.height * SHOWN_WIDTH / screen.width)
+        screen.resize((SHOWN_WIDTH, height), Image.Resampling.LANCZOS).save(IMAGES / f"{name}.webp", quality=80)
 
 
 def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> None:

@@ -237,7 +237,7 @@ SKEW_IGNORED = DeclaredNotice(
 COVARIANCE_NOT_EXPORTED = DeclaredNotice(
     "SC-278",
     "note",
-    "A {program} file has no covariance.",
+    "A file of {program} has no covariance.",
     remedy="Keep the original file.",
     link="cameras.md#export-to-other-programs",
 )
