@@ -15,7 +15,7 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
-PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
+PRESETS = (*RECORDINGS, "targets", "acceptance", "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
 
 
 def simulate(
@@ -59,7 +59,7 @@ def simulate(
     """
     if preset not in PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
-    if switches and preset not in RECORDINGS:
+    if switches and preset not in RECORDINGS and not (preset == "acceptance" and [*switches] == ["violate"]):
         raise ValueError(f"{next(iter(switches))}: expected one of the presets {', '.join(RECORDINGS)}, found {preset}")
     out = Path(out)
     _check_out(out)
@@ -92,6 +92,10 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
             write_masses(folder, seed, progress)
         else:
             (write_chirp if preset == "chirp" else write_pitching)(folder, seed)
+    elif preset == "acceptance":
+        from fusion.simulate.acceptance import write_acceptance
+
+        write_acceptance(folder, seed, progress, **switches)
     elif preset in ("steps", "loads"):
         from fusion.simulate.releases import write_loads, write_steps
 
@@ -133,6 +137,8 @@ def _not_simulated(out: Path) -> Path | None:
     if truth.is_file() and "left" in json.loads(truth.read_text(encoding="utf-8")):
         images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
         written.update((out / name).resolve() for name in images)
+    if truth.is_file() and (out / "acceptance.toml").is_file():
+        written.update((out / name).resolve() for name in json.loads(truth.read_text(encoding="utf-8")).get("files", ()))
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])
