@@ -10,7 +10,18 @@ import argparse
 from dataclasses import replace
 
 from fusion.base import Settings
-from fusion.commands.options import EXIT_DONE, EXIT_FAILED, Parser, command, in_metres, length, path, share, size, whole_numbers
+from fusion.commands.options import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    in_metres,
+    length,
+    path,
+    share,
+    size,
+    whole_numbers,
+)
 from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
 from fusion.report.terminal import progress_bar
 

@@ -136,7 +136,8 @@ def _simulate_options(parser: Parser) -> None:
     parser.value("out", path, "OUT", "campaign folder to create")
     text = (
         "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
-        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a camera calibration; acceptance: a rig for shakercal accept; chirp: a "
+        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a camera calibration; "
+        "acceptance: a rig for shakercal accept; chirp: a "
         "recording for shakercal "
         "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
         "rotate; steps: one for shakercal step; loads: one for shakercal load; elastomer: a geometry for shakercal "

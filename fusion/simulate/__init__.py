@@ -15,7 +15,18 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
-PRESETS = (*RECORDINGS, "targets", "acceptance", "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
+PRESETS = (
+    *RECORDINGS,
+    "targets",
+    "acceptance",
+    "chirp",
+    "masses",
+    "pitching",
+    *GRAVITY_TESTS,
+    "steps",
+    "loads",
+    "elastomer",
+)
 
 
 def simulate(
@@ -138,7 +149,9 @@ def _not_simulated(out: Path) -> Path | None:
         images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
         written.update((out / name).resolve() for name in images)
     if truth.is_file() and (out / "acceptance.toml").is_file():
-        written.update((out / name).resolve() for name in json.loads(truth.read_text(encoding="utf-8")).get("files", ()))
+        written.update(
+            (out / name).resolve() for name in json.loads(truth.read_text(encoding="utf-8")).get("files", ())
+        )
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])

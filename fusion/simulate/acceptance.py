@@ -134,10 +134,18 @@ def rig_faults(given: Sequence[str]) -> dict[str, float]:
 
 
 def write_acceptance(
-    folder: Path, seed: int, progress: ProgressCallback = no_progress, violate: Sequence[str] = ()
+    folder: Path,
+    seed: int,
+    progress: ProgressCallback = no_progress,
+    violate: Sequence[str] = (),
+    frames: int | None = None,
 ) -> Path:
-    """Write acceptance.toml with calibration, images and truth; return its path."""
-    preset, faults = read_preset(AcceptancePreset, "acceptance"), rig_faults(violate)
+    """Write acceptance.toml with calibration, images and truth; return its path.
+
+    `frames`: of the stationary scene, by default those of the preset.
+    """
+    changes = {} if frames is None else {"stationary_frames": frames}
+    preset, faults = read_preset(AcceptancePreset, "acceptance", **changes), rig_faults(violate)
     rng = np.random.default_rng(seed)
     nominal, _ = nominal_rig(preset.stereo)
     true = _true_rig(nominal, faults, rng)
@@ -148,7 +156,7 @@ def write_acceptance(
     tables: dict[str, Any] = {"format": 1, "name": "simulated rig", "calibration": CALIBRATION_FILE, **stated}
     late = round(faults.get("late-frame", 0.0))
     done, total = 0, sum(len(pose) for pose in poses.values())
-    written = []
+    written = list[str]()
     for name, pose in poses.items():
         shown = pose, pose[np.maximum(np.arange(len(pose)) - late, 0)]
         for number in range(len(pose)):

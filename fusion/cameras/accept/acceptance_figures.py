@@ -8,7 +8,7 @@ from fusion.base import prefix
 from fusion.cameras.accept.moved_plate import MotionTest
 from fusion.cameras.accept.stationary_scene import COMPONENTS, StationaryTest
 from fusion.cameras.camera_figures import LONGEST_SHARE, draw_arrows, two_digits
-from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, Figure, Panel, Scale, empty_figure, padded_limits
+from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, Figure, Panel, Scale, empty_figure
 from shaker.lines.spectrum import amplitude_spectrum
 from shakercal._common.arrays import FloatArray
 
@@ -27,8 +27,8 @@ def draw_drift(test: StationaryTest) -> Figure:
         panel.x.label = "time / s" if test.has_rate else "frame"
         panel.y.label, panel.title = f"{title} / {letter}{unit}", title
     caption = (
-        "Apparent motion of the body at rest about its centre, in the left camera's axes. A slope is a drift, mostly by "
-        "warm-up; it ends when cameras and room are in balance. A regular wave is a vibration."
+        "Apparent motion of the body at rest about its centre, in the left camera's axes. A slope is a drift, usually "
+        "by warm-up; it ends when cameras and room are in balance. A regular wave is a vibration."
     )
     return drawn.with_title("Scene at rest over time", caption)
 
@@ -39,10 +39,10 @@ def draw_noise_spectrum(test: StationaryTest) -> Figure:
     rate = 1.0 / float(test.time[1] - test.time[0])
     spectrum = amplitude_spectrum(test.pose, rate)
     for panel, (title, part, unit) in zip(drawn.panels, HALVES, strict=True):
-        values = spectrum.amplitude[1:, part]
+        values = spectrum.amplitude[1:-1, part]
         factor, letter = prefix(values)
         for colour, name, column in zip(COLOURS, COMPONENTS[part], values.T, strict=False):
-            panel.line(spectrum.frequency_hz[1:], column / factor, name, colour=colour, width=0.8)
+            panel.line(spectrum.frequency_hz[1:-1], column / factor, name, colour=colour, width=0.8)
         # mean amplitude of white noise in a bin of the Hann spectrum: √(π/4) of its rms, 2·σ·√(1.5/N)
         floor = test.predicted[part] * 2.0 * np.sqrt(1.5 / len(test.time)) * np.sqrt(np.pi) / 2.0
         panel.rule(floor / factor, "predicted", colour=GREY, dashed=True)
@@ -52,8 +52,8 @@ def draw_noise_spectrum(test: StationaryTest) -> Figure:
         panel.y.label, panel.title = f"amplitude / {letter}{unit}", title
     caption = (
         "Amplitude spectrum of the scene at rest. Grey: noise that the Cramér–Rao bound of these images predicts for "
-        "each component. A flat spectrum at this level is the best that the images permit. A peak is a vibration, or the "
-        "alias of a faster one; a rise to low frequencies is drift or moving air."
+        "each component. A flat spectrum at this level is the best that the images permit. A peak is a vibration, or "
+        "the alias of a faster one; a rise to low frequencies is drift or moving air."
     )
     return drawn.with_title("Noise spectrum of the scene at rest", caption, main=True)
 
@@ -73,9 +73,9 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
         scale.title = f"scale over the field, ±{two_digits(100.0 * float(np.max(np.abs(relative))))} %"
     else:
         factor, letter = prefix(test.travel * field.remainder)
-        length = test.travel * np.linalg.norm(field.remainder, axis=1)
-        _colours(scale, places, side, length / factor, f"departure / {letter}m")
-        scale.title = "departure from rigid motion and strain"
+        down = test.travel * field.remainder[:, 1]
+        _colours(scale, places, side, down / factor, f"departure down / {letter}m")
+        scale.title = "departure from rigid motion and strain, down"
     strains = 1e6 * test.travel * field.strain_map
     _colours(strain, places, side, strains, "strain / 10⁻⁶")
     strain.title = "apparent strain at the end of the motion"
@@ -87,15 +87,14 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
     factor, letter = prefix(longest)
     bending.title = f"residual vectors, longest {two_digits(longest / factor)} {letter}m"
     for panel in drawn.panels:
-        panel.x.limits = padded_limits(float(places[:, 0].min()), float(places[:, 0].max()), 0.06)
-        panel.y.limits = padded_limits(float(places[:, 1].max()), float(places[:, 1].min()), -0.06)  # y down
-        panel.y.limits = (float(places[:, 1].max()) + side, float(places[:, 1].min()) - side)
+        panel.x.limits = (float(places[:, 0].min()) - side, float(places[:, 0].max()) + side)
+        panel.y.limits = (float(places[:, 1].max()) + side, float(places[:, 1].min()) - side)  # y down
         panel.equal, panel.x.grid, panel.y.grid = True, False, False
         panel.x.label, panel.y.label = "x / px", "y / px"
     caption = (
-        "Each square is a subset in the left image. A rigid body under a right calibration shows noise without a "
-        "pattern in all four. A plane of epipolar residuals indicates a rotated camera, a slope across the image a wrong "
-        "focal length, a curved field of scale a wrong distortion."
+        "Each square is a subset in the left image. With a rigid body and a right calibration all four show noise "
+        "without a pattern. A plane of epipolar residuals indicates a rotated camera, a slope across the image a "
+        "wrong focal length, a curved field of scale a wrong distortion."
     )
     return drawn.with_title(f"Residual fields, {label}", caption, main=test.kind == "translation")
 
@@ -103,7 +102,9 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
 def _colours(panel: Panel, places: FloatArray, side: float, values: FloatArray, label: str) -> None:
     """Draw a signed field as coloured squares, symmetric about zero."""
     largest = float(np.quantile(np.abs(values), FIELD_QUANTILE)) or 1.0
-    panel.squares(places, side, values=np.clip(values, -largest, largest), scale=Scale("RdBu", -largest, largest, label))
+    panel.squares(
+        places, side, values=np.clip(values, -largest, largest), scale=Scale("RdBu", -largest, largest, label)
+    )
 
 
 def draw_steps(test: MotionTest) -> Figure:

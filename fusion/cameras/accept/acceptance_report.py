@@ -195,7 +195,9 @@ def lines_table(test: StationaryTest) -> Table | None:
 
 
 def faults_table(evaluation: AcceptanceEvaluation) -> Table | None:
-    """Return how well each single fault explains the translations."""
+    """Return how well each single fault explains the translations, None if none is significant."""
+    if evaluation.diagnosis is None or not evaluation.diagnosis.is_significant:
+        return None
     columns: list[TableColumn[FaultFit]] = [
         page_column("fault", lambda fit: capitalise(fit.kind.label), "l"),
         page_column("size ± U", lambda fit: fit.size_text, "l"),

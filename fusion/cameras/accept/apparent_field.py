@@ -92,14 +92,14 @@ class ApparentField(
 
     @property
     def strain_map(self) -> FloatArray:
-        """Largest principal strain per travel (N,) at each point, by the smooth part of the slope."""
-        solver = np.linalg.pinv(polynomials(self.plane_m, CUBIC))
+        """Largest principal strain per travel (N,) at each point, by a slope of second degree."""
+        solver = np.linalg.pinv(polynomials(self.plane_m, QUADRATIC))
         extent = np.max(np.abs(self.plane_m), axis=0)
         gradient = []
         for axis in (0, 1):
             step = np.zeros(2)
             step[axis] = 1e-4 * extent[axis]
-            ends = [polynomials(self.plane_m + sign * step, CUBIC, extent) for sign in (1.0, -1.0)]
+            ends = [polynomials(self.plane_m + sign * step, QUADRATIC, extent) for sign in (1.0, -1.0)]
             gradient.append((ends[0] - ends[1]) @ (solver @ self.slope[:, :2]) / (2.0 * step[axis]))
         tensor = np.stack(gradient, axis=1)
         principal = np.linalg.eigvalsh(0.5 * (tensor + tensor.transpose(0, 2, 1)))
@@ -151,7 +151,7 @@ def apparent_field(start_m: FloatArray, displacement_m: FloatArray, along: Float
     noise = local_noise(offset[:, :2], slope)
     design = rate_design(offset)
     whitened = (design / noise[:, None]).reshape(-1, RATES)
-    covariance = np.linalg.inv(whitened.T @ whitened)
-    rates = covariance @ whitened.T @ (slope / noise).ravel()
+    covariance = np.asarray(np.linalg.inv(whitened.T @ whitened), dtype=np.float64)
+    rates = np.asarray(covariance @ whitened.T @ (slope / noise).ravel())
     remainder = slope - np.einsum("nia,a->ni", design, rates)
     return ApparentField(axes, offset[:, :2], offset, slope, noise, rates, covariance, remainder)

@@ -36,8 +36,8 @@ EXPLAINS = 0.9
 """Share of the deviations, by χ², that a single fault has to explain to be the likely cause."""
 CHI2_SIGMAS = 5.0
 """Standard deviations of χ² by which noise exceeds its expectation at most."""
-ALTERNATIVE_CHI2, SIMILAR = 10.0, 0.02
-"""By how much, absolutely and relative to the decrease of χ², another fault may be worse and not be excluded."""
+ALTERNATIVE_CHI2, SIMILAR = 10.0, 0.1
+"""By how much, absolutely and relative to χ² of the best fit, that of another fault may be larger and not exclude it."""
 FREE_SCALE = 1.0
 """Prior of the scale where no positions of the stage are stated."""
 
@@ -138,6 +138,13 @@ def _unit(*places: int) -> FloatArray:
     return columns
 
 
+def _turn(rig: StereoRig) -> FloatArray:
+    """Return changes by a rotation of the right camera about its centre (rad)."""
+    columns = _unit(*range(ROTATION.start, ROTATION.stop))
+    columns[TRANSLATION] = np.cross(np.eye(3), rig.right_from_left.translation_m).T
+    return columns
+
+
 def _focal(rig: StereoRig) -> FloatArray:
     """Return changes of both focal lengths by 1 = 100 %, the aspect ratio unchanged."""
     columns = np.zeros((len(RIG_PARAMETERS), 2))
@@ -170,7 +177,7 @@ FAULTS = (  # the more frequent first
     FaultKind(
         "pose",
         "a rotation of the right camera against the left one since the calibration",
-        lambda _: _unit(*range(ROTATION.start, ROTATION.stop)),
+        _turn,
         _pairs(("about x", "about y", "about z"), "mrad", 1e3, 3),
         CALIBRATE,
     ),
@@ -313,7 +320,7 @@ def diagnose(rig: StereoRig, plates: Sequence[MovedPlate]) -> Diagnosis:
     count = len(problem.target)
     *_, without = problem.fit(None)
     fits = [FaultFit(kind, *problem.fit(kind), without, count) for kind in FAULTS]
-    gain = max(fit.gain for fit in fits)
-    limit = gain - max(ALTERNATIVE_CHI2, SIMILAR * max(gain, 0.0))
+    best = max(fits, key=lambda fit: fit.gain)
+    limit = best.gain - max(ALTERNATIVE_CHI2, SIMILAR * best.chi2)
     first, *similar = [fit for fit in fits if fit.gain >= limit]
     return Diagnosis(first, tuple(similar), tuple(fit for fit in fits if fit.gain < limit))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.base import ProgressCallback
 from fusion.cameras.accept.acceptance_manifest import MOST_FRAMES, AcceptanceFile, ImagePair
-from fusion.cameras.accept.apparent_field import CUBIC, plate_axes, polynomials
 from fusion.cameras.accept.acceptance_notices import TEST_IMAGES, TOO_FEW_SUBSETS
+from fusion.cameras.accept.apparent_field import CUBIC, plate_axes, polynomials
 from fusion.errors import InputError, as_input_error
 from photogram.camera import Points3D, StereoRig, triangulate
 from photogram.geometry import RigidTransform, displacement_jacobian
@@ -115,9 +114,7 @@ def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[
     left, right = (
         build_tracks([both[side] for both in found], scene.references[side], scene.settings.degree) for side in (0, 1)
     )
-    points = triangulate(
-        file.rig, left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
-    )
+    points = triangulate(file.rig, left.position_px, right.position_px, left.covariance_px2, right.covariance_px2)
     seen = np.flatnonzero(np.isfinite(points.covariance_m2).all(axis=(0, 2, 3)))
     if len(seen) < FEWEST_SUBSETS:
         raise InputError(TOO_FEW_SUBSETS, file.path, key, expected=FEWEST_SUBSETS, found=len(seen))
