@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gallery import GALLERY, browser_and_laboratory
+from gallery import GALLERY, Entry, browser_and_laboratory
 
 from fusion.cli import main
 
@@ -27,8 +27,20 @@ PICTURES = {
     "identify": ("masses", "figure", "figure"),
     "elastomer": ("elastomer", "figure", "figure"),
     "cameras": ("targets", "figure", "figure"),
+    "acceptance": ("acceptance", "header", ".headlines"),
+    "acceptance-noise": ("shaken rig", "#figure-noise-spectrum", "#figure-noise-spectrum"),
+    "acceptance-fields": ("rig without distortion", "#figure-fields-translation-x", "#figure-fields-translation-x"),
 }
-"""Entry of the gallery, and the first elements that a picture begins and ends with."""
+"""Entry of the gallery or of `FAULTY`, and the first elements that a picture begins and ends with."""
+
+
+def _faulty(name: str, fault: str) -> Entry:
+    """Return the page of an acceptance test that fails."""
+    simulated = f"simulate {name} --preset acceptance --violate {fault}"
+    return Entry((simulated, f"accept {name} -o out/{name}"), f"out/{name}/acceptance.html", "", 1)
+
+
+FAULTY = {"shaken rig": _faulty("shaken", "vibration"), "rig without distortion": _faulty("flat", "no-distortion")}
 EXAMPLES = ("motion_from_images", "compensated_release")
 PLAN = "plan --frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211 --force --figure"
 
@@ -38,7 +50,7 @@ def make_pictures(chosen: list[str]) -> None:
     with browser_and_laboratory() as (browser, laboratory):
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
-            _keep(browser, laboratory.page(GALLERY[entry]), IMAGES / f"{picture}.png", *ends)
+            _keep(browser, laboratory.page((GALLERY | FAULTY)[entry]), IMAGES / f"{picture}.png", *ends)
     if not chosen or "plan" in chosen:
         main([*PLAN.split(), str(IMAGES / "plan.png"), "-q"])
     for example in EXAMPLES:

@@ -37,7 +37,8 @@ from fusion.report.table import (
     table,
     text_column,
 )
-from shakercal._common.digits import quantity_text
+from shaker.labels import AXES
+from shakercal._common.digits import number_text, quantity_text
 
 PRINTED_ROWS = 12
 """Rows other than PASS that the terminal lists; the page lists all."""
@@ -134,24 +135,30 @@ def _reason(rows: tuple[AcceptanceRow, ...]) -> str:
 def noise_table(test: StationaryTest) -> Table | None:
     """Return the noise of each component and its prediction."""
 
-    def cell(values: np.ndarray[Any, Any], index: int) -> str:
+    def unit(index: int) -> tuple[float, str]:
         factor, letter = prefix(test.noise[index])
-        unit = f"{letter}{'m' if index < 3 else 'rad'}"
-        u = 2.0 * values[index] / np.sqrt(2.0 * test.freedom)
-        return quantity_text(float(values[index]) / factor, float(u) / factor, unit)
+        return factor, f"{letter}{'m' if index < len(AXES) else 'rad'}"
+
+    def measured(index: int) -> str:
+        factor, name = unit(index)
+        value = float(test.noise[index]) / factor
+        return quantity_text(value, 2.0 * value / np.sqrt(2.0 * test.freedom), name)
+
+    def predicted(index: int) -> str:
+        factor, name = unit(index)
+        return number_text(float(test.predicted[index]) / factor, 3, name)
 
     def drift(index: int) -> str:
-        factor, letter = prefix([test.drift[index], 2.0 * test.u_drift[index]])
-        unit = f"{letter}{'m' if index < 3 else 'rad'}"
-        return quantity_text(float(test.drift[index]) / factor, 2.0 * float(test.u_drift[index]) / factor, unit)
+        factor, name = unit(index)
+        return quantity_text(float(test.drift[index]) / factor, 2.0 * float(test.u_drift[index]) / factor, name)
 
     def ratio(index: int) -> str:
         return f"{test.noise[index] / test.predicted[index]:.2f}"
 
     columns: list[TableColumn[int]] = [
         page_column("component", lambda index: COMPONENTS[index], "l"),
-        page_column("noise ± U", lambda index: cell(test.noise, index)),
-        page_column("predicted", lambda index: cell(test.predicted, index).split(" ±")[0].lstrip("(")),
+        page_column("noise ± U", measured),
+        page_column("predicted", predicted),
         page_column("ratio", ratio),
         page_column("drift ± U", drift),
     ]
@@ -185,7 +192,7 @@ def lines_table(test: StationaryTest) -> Table | None:
         return quantity_text(1e9 * float(amplitude[index, column]), 1e9 * u, "nm")
 
     columns: list[TableColumn[int]] = [
-        page_column("frequency", lambda index: f"{lines.frequency_hz[index]:.4g}"),
+        page_column("frequency", lambda index: number_text(float(lines.frequency_hz[index]), 4)),
         page_column("component", lambda index: COMPONENTS[int(np.argmax(amplitude[index]))], "l"),
         page_column("amplitude at the edge ± U", strongest),
         page_column("origin", lambda index: lines.origin[index].text, "l"),
@@ -202,8 +209,8 @@ def faults_table(evaluation: AcceptanceEvaluation) -> Table | None:
         page_column("fault", lambda fit: capitalise(fit.kind.label), "l"),
         page_column("size ± U", lambda fit: fit.size_text, "l"),
         page_column("explained / %", lambda fit: f"{100.0 * fit.share:.0f}"),
-        page_column("χ² per value, before", lambda fit: f"{fit.chi2_without / fit.count:.3g}"),
-        page_column("after", lambda fit: f"{fit.chi2 / fit.count:.3g}"),
+        page_column("χ² per value, before", lambda fit: number_text(fit.chi2_without / fit.count, 3)),
+        page_column("after", lambda fit: number_text(fit.chi2 / fit.count, 3)),
     ]
     return table("Single faults that may explain the translations, the most likely first", columns, _fits(evaluation))
 

@@ -37,7 +37,7 @@ EXPLAINS = 0.9
 CHI2_SIGMAS = 5.0
 """Standard deviations of χ² by which noise exceeds its expectation at most."""
 ALTERNATIVE_CHI2, SIMILAR = 10.0, 0.1
-"""By how much, absolutely and relative to χ² of the best fit, that of another fault may be larger and not exclude it."""
+"""By how much, absolutely and relative to the best χ², that of another fault may be larger and not exclude it."""
 FREE_SCALE = 1.0
 """Prior of the scale where no positions of the stage are stated."""
 
@@ -64,9 +64,9 @@ class MovedPlate(Arrays, shapes="left_px 2 N 2; right_px 2 N 2; noise 4"):
 
     def observed(self, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
         """Return epipolar residuals (N,), and displacements per travel (N, 3), by a rig."""
-        residual, *_ = epipolar_residual(rig, self.left_px.mean(axis=0), self.right_px.mean(axis=0))
+        residual, *_ = epipolar_residual(rig, self.left_px, self.right_px)
         first, last = triangulate(rig, self.left_px, self.right_px).position_m
-        return residual, (last - first) / self.travel_m
+        return residual.mean(axis=0), (last - first) / self.travel_m
 
 
 @dataclass(frozen=True)
