@@ -83,25 +83,27 @@ def evaluate_acceptance(
     if tables.stationary is not None:
         block = tables.stationary
         tracked = track_test(file, "stationary", block, FEWEST_STATIONARY, progress, at_rest=True)
-        stationary = measure_stationary(rig, block, tracked, tables.tolerance)
+        stationary = measure_stationary(rig, block, tracked, tables.tolerances)
         tracking += [*tracked.notices, *stationary.notices]
     translations, rotations = list[MotionTest](), list[MotionTest]()
     for moved in tables.translation:
         key = f"translation.{moved.name}"
         _check_count(file, f"{key}.positions", moved.positions, len(moved.left))
         tracked = track_test(file, key, moved, FEWEST_MOVED, progress)
-        translations.append(measure_translation(rig, moved, tracked, tables.tolerance))
+        tracking += tracked.notices
+        translations.append(measure_translation(rig, moved, tracked, tables.tolerances))
     for turned in tables.rotation:
         key = f"rotation.{turned.name}"
         _check_count(file, f"{key}.angles", turned.angles, len(turned.left))
         tracked = track_test(file, key, turned, 2, progress)
-        rotations.append(measure_rotation(rig, turned, tracked, tables.tolerance))
+        tracking += tracked.notices
+        rotations.append(measure_rotation(rig, turned, tracked, tables.tolerances))
     plates = [test.plate for test in translations if test.plate is not None and not test.late]
     diagnosis = _diagnosed(file, plates) if len(plates) == len(translations) else None
     made = AcceptanceEvaluation(
         name=tables.name,
         notices=(),
-        settings={"calibration": tables.calibration.name, **tables.tolerance.model_dump()},
+        settings={"calibration": tables.calibration.name, **tables.tolerances.model_dump()},
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
         stationary=stationary,

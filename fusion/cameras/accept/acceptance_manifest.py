@@ -130,7 +130,12 @@ class AcceptanceTables(ManifestBlock):
     stationary: StationaryBlock | None = None
     translation: Annotated[tuple[TranslationBlock, ...], Blocks] = ()
     rotation: Annotated[tuple[RotationBlock, ...], Blocks] = ()
-    tolerance: Tolerances = Tolerances()
+    tolerance: Tolerances | None = None
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """The stated tolerances, or their defaults."""
+        return self.tolerance or Tolerances()
 
     @model_validator(mode="after")
     def _has_tests(self) -> Self:

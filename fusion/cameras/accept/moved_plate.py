@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.cameras.accept.acceptance_manifest import RotationBlock, Tolerances, TranslationBlock
 from fusion.cameras.accept.acceptance_rows import AcceptanceRow
-from fusion.cameras.accept.apparent_field import ApparentField, apparent_field
+from fusion.cameras.accept.apparent_field import ApparentField, apparent_field, local_noise
 from fusion.cameras.accept.calibration_faults import MovedPlate, plate_noise
 from fusion.cameras.accept.tracked_test import TrackedTest, fitted_path
 from photogram.camera import StereoRig, epipolar_residual
@@ -25,7 +25,6 @@ CLEARLY_LATE = 4.0
 """Ratio of the mean squares, without and with a delay, from which there is one."""
 VISIBLE_PX = 0.05
 """Rms departure of the cameras' motions by one frame below which a delay cannot be seen."""
-LATE, RIGID = "synchronisation", "rotation"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,9 +178,8 @@ def _translation_rows(
 
 def _epipolar_row(name: str, test: MotionTest, tolerances: Tolerances) -> AcceptanceRow:
     """Return the row of the epipolar residuals, of which matching errors are a part."""
-    noise = 0.0 if test.plate is None else float(test.plate.noise[0])
     size = float(np.sqrt(np.mean(test.epipolar_px**2)))
-    u = noise / np.sqrt(len(test.epipolar_px))
+    u = float(local_noise(test.field.plane_m, test.epipolar_px[:, None])[0]) / np.sqrt(len(test.epipolar_px))
     return AcceptanceRow(name, "epipolar", "epipolar residual, rms", size, u, tolerances.epipolar_px, "px")
 
 

@@ -139,7 +139,8 @@ def _rows(test: StationaryTest, tolerances: Tolerances) -> Iterator[AcceptanceRo
     label = f"noise over its prediction, component {COMPONENTS[worst]}"
     cause = "light that flickers, moving air, or vibrations faster than the frames"
     remedy = "Use steady light and a shorter path through still air; record faster to see the vibrations."
-    yield AcceptanceRow(NAME, "noise_ratio", label, float(ratio[worst]), u, tolerances.noise_ratio, "1", cause, remedy)
+    value, dof = float(ratio[worst]), test.freedom
+    yield AcceptanceRow(NAME, "noise_ratio", label, value, u, tolerances.noise_ratio, "1", cause, remedy, dof)
     size = np.abs(test.drift) * test.arms
     worst = int(np.argmax(size))
     codes = {notice.code for notice in test.notices}
@@ -149,7 +150,7 @@ def _rows(test: StationaryTest, tolerances: Tolerances) -> Iterator[AcceptanceRo
         remedy = "Let the cameras warm up for an hour, fix them and their cables, then calibrate."
     label, limit = f"drift over the record, component {COMPONENTS[worst]}", tolerances.drift_px * test.pixel_m
     u = float(test.u_drift[worst] * test.arms[worst])
-    yield AcceptanceRow(NAME, "drift", label, float(size[worst]), u, limit, "m", cause, remedy)
+    yield AcceptanceRow(NAME, "drift", label, float(size[worst]), u, limit, "m", cause, remedy, dof)
     label, size_m, u = "strongest vibration", 0.0, float(np.max(test.noise * test.arms)) * np.sqrt(2.0 / test.freedom)
     cause = remedy = ""
     if len(test.lines.frequency_hz):
@@ -162,4 +163,4 @@ def _rows(test: StationaryTest, tolerances: Tolerances) -> Iterator[AcceptanceRo
         cause = f"a vibration at {where} of body, stand or floor, or an alias of a faster one"
         remedy = "Find the source (fan, pump, floor), stiffen the stand, or isolate the table."
     limit = tolerances.vibration_px * test.pixel_m
-    yield AcceptanceRow(NAME, "vibration", label, size_m, u, limit, "m", cause, remedy)
+    yield AcceptanceRow(NAME, "vibration", label, size_m, u, limit, "m", cause, remedy, dof)

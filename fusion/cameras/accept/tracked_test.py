@@ -104,8 +104,9 @@ def track_test(
         scene = prepare_body(images, file.rig, RigidTransform.identity(), settings, progress=report)
         blocks = [follow_block(scene, frames, progress=report) for frames in scene.blocks]
         body = body_motion(scene, blocks) if at_rest else None
-    tracked = _tracked(file, key, scene, blocks)
-    return tracked if body is None else replace(tracked, body=body, notices=body.notices)
+    of_images = [notice for side in images for notice in side.notices]
+    notices = (*of_images, *(scene.grid.notices if body is None else body.notices))
+    return replace(_tracked(file, key, scene, blocks), body=body, notices=notices)
 
 
 def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[FollowedBlock]) -> TrackedTest:
