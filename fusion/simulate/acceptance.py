@@ -97,7 +97,7 @@ def _shift(rig: StereoRig, size: float, rng: np.random.Generator) -> StereoRig:
 
 
 def _stretch(rig: StereoRig, size: float, rng: np.random.Generator) -> StereoRig:
-    """Make all lengths larger or smaller than the calibration, as a wrong spacing of its target does."""
+    """Make all lengths larger or smaller, as a wrong spacing of the target does."""
     factor = 1.0 + size * rng.choice([-1.0, 1.0])
     moved = RigidTransform(rig.right_from_left.rotation, factor * rig.right_from_left.translation_m)
     return replace(rig, right_from_left=moved)
@@ -169,8 +169,8 @@ def write_acceptance(
             progress("render", done, total)
     stored = nominal
     if "no-distortion" in faults:
-        kept = 1.0 - faults["no-distortion"]
-        left_camera, right_camera = (replace(c, distortion=kept * c.distortion) for c in (nominal.left, nominal.right))
+        share = 1.0 - faults["no-distortion"]
+        left_camera, right_camera = (replace(c, distortion=share * c.distortion) for c in (nominal.left, nominal.right))
         stored = replace(nominal, left=left_camera, right=right_camera)
     write_calibration(folder / CALIBRATION_FILE, stored, 0.02)
     files = sorted([*written, ACCEPTANCE_FILE, CALIBRATION_FILE, TRUTH_FILE])
@@ -222,9 +222,9 @@ def _motions(
         )
     axis, wobble = np.array(TURN_AXIS), preset.axis_uncertainty * rng.standard_normal(3)
     angles = np.repeat([0.0, preset.angle], preset.repeats)
-    turned = np.repeat([0.0, preset.angle + preset.angle_uncertainty * rng.standard_normal()], preset.repeats)
+    true_angles = np.repeat([0.0, preset.angle + preset.angle_uncertainty * rng.standard_normal()], preset.repeats)
     true_axis = (axis + wobble) / np.linalg.norm(axis + wobble)
-    poses["turned"] = np.concatenate([np.zeros((len(angles), 3)), np.outer(turned, true_axis)], axis=1)
+    poses["turned"] = np.concatenate([np.zeros((len(angles), 3)), np.outer(true_angles, true_axis)], axis=1)
     rotation = {
         "name": "sine bar",
         **_images("turned"),
@@ -235,7 +235,7 @@ def _motions(
     }
     stationary = {**_images("rest"), "frame_rate": preset.frame_rate_hz}
     tables = {"stationary": stationary, "translation": blocks, "rotation": [rotation]}
-    drawn = {"stage_scale": float(scale), "turned_rad": float(turned[-1])}
+    drawn = {"stage_scale": float(scale), "turned_rad": float(true_angles[-1])}
     return tables, poses, drawn
 
 

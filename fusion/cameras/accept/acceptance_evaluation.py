@@ -90,14 +90,16 @@ def evaluate_acceptance(
         key = f"translation.{moved.name}"
         _check_count(file, f"{key}.positions", moved.positions, len(moved.left))
         tracked = track_test(file, key, moved, FEWEST_MOVED, progress)
+        _check_count(file, f"{key}.positions", moved.positions, len(tracked.left_px))
         tracking += tracked.notices
         translations.append(measure_translation(rig, moved, tracked, tables.tolerances))
-    for turned in tables.rotation:
-        key = f"rotation.{turned.name}"
-        _check_count(file, f"{key}.angles", turned.angles, len(turned.left))
-        tracked = track_test(file, key, turned, 2, progress)
+    for rotation in tables.rotation:
+        key = f"rotation.{rotation.name}"
+        _check_count(file, f"{key}.angles", rotation.angles, len(rotation.left))
+        tracked = track_test(file, key, rotation, 2, progress)
+        _check_count(file, f"{key}.angles", rotation.angles, len(tracked.left_px))
         tracking += tracked.notices
-        rotations.append(measure_rotation(rig, turned, tracked, tables.tolerances))
+        rotations.append(measure_rotation(rig, rotation, tracked, tables.tolerances))
     plates = [test.plate for test in translations if test.plate is not None and not test.late]
     diagnosis = _diagnosed(file, plates) if len(plates) == len(translations) else None
     made = AcceptanceEvaluation(
@@ -119,7 +121,10 @@ def _diagnosed(file: AcceptanceFile, plates: list[MovedPlate]) -> Diagnosis | No
 
 
 def _check_count(file: AcceptanceFile, key: str, values: tuple[float, ...] | None, images: int) -> None:
-    """Refuse a list of other length than the images; of stacks and videos the count is checked when they are read."""
+    """Refuse a list of other length than the images.
+
+    Those of a stack or a video, one file, are counted after they are read.
+    """
     if values is not None and images > 1 and len(values) != images:
         expected = f"{images} numbers, one for each image"
         raise InputError(TEST_IMAGES, file.path, key, found=f"{len(values)}", expected=expected)

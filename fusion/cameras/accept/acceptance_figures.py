@@ -1,4 +1,4 @@
-"""Figures of an acceptance test: noise over time and frequency, fields over the image, steps of the stage."""
+"""Figures of an acceptance test: noise, fields over the image, steps of the stage."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_drift(test: StationaryTest) -> Figure:
 
 
 def draw_noise_spectrum(test: StationaryTest) -> Figure:
-    """Draw the amplitude spectrum of the scene at rest, with the predicted noise and the vibrations."""
+    """Draw the amplitude spectrum of the scene at rest, with predicted noise and vibrations."""
     drawn = empty_figure("noise-spectrum", 3.0, 1, 2)
     rate = 1.0 / float(test.time[1] - test.time[0])
     spectrum = amplitude_spectrum(test.pose, rate)
@@ -115,15 +115,15 @@ def draw_steps(test: MotionTest) -> Figure:
     travelled = test.centre_m @ test.direction
     departure = travelled - travelled.mean() - size * (test.along - test.along.mean())
     line = np.outer(test.along - test.along.mean(), size * test.direction)
-    aside = test.centre_m - test.centre_m.mean(axis=0) - line
+    sideways = test.centre_m - test.centre_m.mean(axis=0) - line
     u = np.sqrt(np.einsum("i,fij,j->f", test.direction, test.motion.covariance[:, :3, :3], test.direction))
     factor, letter = prefix(np.concatenate([departure, 2.0 * u]))
     position = 1e3 * test.along
     along.points(position, departure / factor, "steps", half_y=2.0 * u / factor, colour=BLUE)
     along.rule(0.0, colour=GREY)
     along.y.label, along.title = f"departure / {letter}m", "along the stage, scale removed"
-    factor, letter = prefix(aside)
-    for colour, name, column in zip(COLOURS, ("x", "y", "z"), aside.T, strict=False):
+    factor, letter = prefix(sideways)
+    for colour, name, column in zip(COLOURS, ("x", "y", "z"), sideways.T, strict=False):
         across.points(position, column / factor, name, colour=colour)
     across.rule(0.0, colour=GREY)
     across.y.label, across.title = f"departure / {letter}m", "from a straight line, left camera's axes"
@@ -137,7 +137,7 @@ def draw_steps(test: MotionTest) -> Figure:
 
 
 def draw_local_scale(tests: tuple[MotionTest, ...]) -> Figure:
-    """Draw the local scale of single points over the place on the plate along each motion."""
+    """Draw the local scale of single points over their place on the plate."""
     drawn = empty_figure("scale", 2.9, 1, max(len(tests), 1))
     for panel, test in zip(drawn.panels, tests, strict=True):
         direction = test.field.axes.T @ test.direction

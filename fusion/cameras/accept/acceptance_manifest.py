@@ -67,7 +67,10 @@ class ImagePair(ManifestBlock):
 
 
 class StationaryBlock(ImagePair):
-    """A scene at rest. `frame_rate`: Hz, without which drift and vibration are over the frame number."""
+    """A scene at rest.
+
+    `frame_rate`: Hz; without it drift and vibration are over the frame number.
+    """
 
     frame_rate: Positive | None = None
 

@@ -1,4 +1,4 @@
-"""Files, page and printed lines of the acceptance test of a stereo rig, and the command."""
+"""Files, page and printed lines of the acceptance test of a rig, and the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Apparent deformation of a moved plate: displacement per travel of every point, with its rigid and smooth parts.
+"""Apparent deformation of a moved plate: displacement per travel, its rigid and smooth parts.
 
 A rigid body that moves along a stage has the same displacement everywhere. A wrong calibration bends the measured
 space, so that the displacement changes over the plate: that change is rotation, strain and bending, which do not exist.
@@ -19,7 +19,7 @@ RATES = 9
 
 
 def plate_axes(offset_m: FloatArray) -> FloatArray:
-    """Return axes (3, 3) as columns: right in the left image, down, and away from the cameras.
+    """Return axes (3, 3) as columns: right in the left image, down, away from it.
 
     `offset_m` (N, 3): the points about their centre. The first two are in the mean plane of the points.
     """
@@ -31,14 +31,14 @@ def plate_axes(offset_m: FloatArray) -> FloatArray:
 
 
 def polynomials(plane_m: FloatArray, terms: int, extent_m: FloatArray | None = None) -> FloatArray:
-    """Return the first `terms` powers (N, terms) of plate coordinates (N, 2), scaled to their extent (2,)."""
+    """Return powers (N, terms) of plate coordinates (N, 2), scaled to their extent."""
     x, y = (plane_m / (np.max(np.abs(plane_m), axis=0) if extent_m is None else extent_m)).T
     powers = [x ** (total - down) * y**down for total in range(4) for down in range(total + 1)]
     return np.stack(powers[:terms], axis=1)
 
 
 def local_noise(plane_m: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the standard deviation (C,) of values (N, C) about a cubic polynomial over the plate."""
+    """Return standard deviations (C,) of values (N, C) about a cubic over the plate."""
     design = polynomials(plane_m, CUBIC)
     left_over = values - design @ (np.linalg.pinv(design) @ values)
     return np.asarray(np.sqrt(np.sum(left_over**2, axis=0) / max(len(values) - CUBIC, 1)))
@@ -80,7 +80,7 @@ class ApparentField(
         return float(np.sqrt(max(size - by_noise, 0.0))), float(np.sqrt(by_noise))
 
     def scale_over_field(self, direction: FloatArray) -> tuple[FloatArray, float]:
-        """Return the relative change (N,) of the scale along the motion over the plate, and u at its edge."""
+        """Return the relative change (N,) of the scale over the plate, and its u."""
         size = float(np.linalg.norm(self.rates[:3]))
         design = polynomials(self.plane_m, QUADRATIC)
         solver = np.linalg.pinv(design)
@@ -123,7 +123,7 @@ class ApparentField(
 
 
 def rate_design(offset: FloatArray) -> FloatArray:
-    """Return the displacement (N, 3, 9) of points (N, 3) by displacement, rotation and strain in the plane."""
+    """Return displacements (N, 3, 9) of points by displacement, rotation, and strain in the plane."""
     x, y, z = offset.T
     none, one = np.zeros_like(x), np.ones_like(x)
     columns = [
@@ -141,7 +141,10 @@ def rate_design(offset: FloatArray) -> FloatArray:
 
 
 def apparent_field(start_m: FloatArray, displacement_m: FloatArray, along: FloatArray) -> ApparentField:
-    """Return the apparent field of points (N, 3) with displacements (F, N, 3) over `along` (F,), in m or rad."""
+    """Return the apparent field of a plate moved along a stage or about an axis.
+
+    Points (N, 3) have displacements (F, N, 3) over `along` (F,), in m or rad.
+    """
     centred = along - along.mean()
     weights = centred / (centred @ centred)
     offset = start_m - start_m.mean(axis=0)

@@ -24,7 +24,7 @@ from photogram.camera import (
     triangulate,
 )
 from shakercal._common.arrays import Arrays, FloatArray
-from shakercal._common.digits import python_typeset
+from shakercal._common.digits import quantity_text
 
 FX, FY, CX, CY, K1 = range(5)
 """Places of a camera's parameters among `photogram.camera.CAMERA_PARAMETERS`."""
@@ -113,7 +113,7 @@ class FaultFit(Arrays, shapes="value M; u M"):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Fits of all faults: the most likely, others that the data do not exclude, and the rest."""
+    """Fits of all faults: the most likely one, similar ones, and the rest."""
 
     best: FaultFit
     similar: tuple[FaultFit, ...]
@@ -159,15 +159,14 @@ def _scale(rig: StereoRig) -> FloatArray:
     return columns
 
 
-def _pairs(names: Sequence[str], unit: str, factor: float, digits: int) -> Callable[[FloatArray, FloatArray], str]:
+def _named(names: Sequence[str], unit: str, factor: float = 1.0) -> Callable[[FloatArray, FloatArray], str]:
     """Return the text of named parameters in a unit."""
 
     def shown(value: FloatArray, expanded: FloatArray) -> str:
-        texts = (
-            f"{name} ({factor * one:+.{digits}f} ± {factor * width:.{digits}f}) {unit}".rstrip()
+        return ", ".join(
+            f"{name} {quantity_text(factor * float(one), factor * float(width), unit)}"
             for name, one, width in zip(names, value, expanded, strict=True)
         )
-        return python_typeset(", ".join(texts))
 
     return shown
 
@@ -178,42 +177,42 @@ FAULTS = (  # the more frequent first
         "pose",
         "a rotation of the right camera against the left one since the calibration",
         _turn,
-        _pairs(("about x", "about y", "about z"), "mrad", 1e3, 3),
+        _named(("about x", "about y", "about z"), "mrad", 1e3),
         CALIBRATE,
     ),
     FaultKind(
         "focal",
         "wrong focal lengths (focus, zoom or temperature changed)",
         _focal,
-        _pairs(("left", "right"), "%", 1e2, 3),
+        _named(("left", "right"), "%", 1e2),
         "Lock focus and aperture, let the cameras warm up, and calibrate again.",
     ),
     FaultKind(
         "distortion",
         "a wrong lens distortion, or refraction by a window",
         lambda _: _unit(LEFT[K1], RIGHT[K1]),
-        _pairs(("k1 left", "k1 right"), "", 1.0, 4),
+        _named(("k1 left", "k1 right"), ""),
         "Estimate the distortion, with target views in all corners, and calibrate through the window if there is one.",
     ),
     FaultKind(
         "scale",
         "a wrong scale (spacing of the calibration target, or stated steps of the stage)",
         _scale,
-        _pairs(("true over measured length",), "%", 1e2, 3),
+        _named(("true over measured length, less 1:",), "%", 1e2),
         "Measure the spacing of the target, and check the steps of the stage and their unit.",
     ),
     FaultKind(
         "principal_left",
         "a wrong principal point of the left camera",
         lambda _: _unit(*LEFT[[CX, CY]]),
-        _pairs(("x", "y"), "px", 1.0, 2),
+        _named(("x", "y"), "px"),
         "Calibrate again, with views that are tilted and rotated and reach all corners.",
     ),
     FaultKind(
         "principal_right",
         "a wrong principal point of the right camera",
         lambda _: _unit(*RIGHT[[CX, CY]]),
-        _pairs(("x", "y"), "px", 1.0, 2),
+        _named(("x", "y"), "px"),
         "Calibrate again, with views that are tilted and rotated and reach all corners.",
     ),
 )
@@ -230,7 +229,7 @@ def plate_noise(rig: StereoRig, left_px: FloatArray, right_px: FloatArray, trave
     return local_noise((offset @ axes)[:, :2], values)
 
 
-class _Problem:
+class _RigidityProblem:
     """Deviations of plates from rigid translation, whitened, and their derivatives."""
 
     def __init__(self, rig: StereoRig, plates: Sequence[MovedPlate]) -> None:
@@ -252,7 +251,7 @@ class _Problem:
         return np.concatenate(parts)
 
     def _nuisances(self) -> tuple[FloatArray, FloatArray]:
-        """Return whitened columns of unknown motion with unit prior, and the values of a rigid translation."""
+        """Return whitened columns of unknown motion, and the values of a rigid translation."""
         self.axes, columns, target = list[FloatArray](), list[FloatArray](), list[FloatArray]()
         sizes = [plate.left_px.shape[1] for plate in self.plates]
         total, start = 4 * sum(sizes), 0
@@ -316,7 +315,7 @@ def diagnose(rig: StereoRig, plates: Sequence[MovedPlate]) -> Diagnosis:
 
     Of faults that fit equally, the first of `FAULTS` is the most likely one: it is more frequent.
     """
-    problem = _Problem(rig, plates)
+    problem = _RigidityProblem(rig, plates)
     count = len(problem.target)
     *_, without = problem.fit(None)
     fits = [FaultFit(kind, *problem.fit(kind), without, count) for kind in FAULTS]

@@ -1,4 +1,4 @@
-"""Translation and rotation tests: a plate moved by known steps is rigid, straight and to scale."""
+"""Translation and rotation tests: a moved plate is rigid, straight and to scale."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class MotionTest(Arrays, shapes="along F; centre_m F 3; epipolar_px N; position_
 
 
 def frames_late(tracked: TrackedTest) -> int | None:
-    """Return by how many frames the right camera is late, None if the motion cannot show it.
+    """Return by how many frames the right camera is late, None if undetermined.
 
     The mean displacement of the subsets in one image is a smooth function of that in the other, a polynomial of second
     degree. If a camera is late, that is only true of shifted frames.
@@ -123,7 +123,7 @@ def measure_translation(
 
 
 def _spread(along: FloatArray) -> float:
-    """Return the root of the sum of squares about the mean; images of one setting count once."""
+    """Return the root sum of squares about the mean; repeated settings count once."""
     settings = along[np.concatenate([[True], np.diff(along) != 0.0])]
     return float(np.linalg.norm(settings - settings.mean()))
 
@@ -204,11 +204,11 @@ def measure_rotation(rig: StereoRig, block: RotationBlock, tracked: TrackedTest,
     """Return the result of a rotation, with its rows."""
     position = tracked.points.position_m
     motion = fit_motion(tracked.points, None, tracked.centre_m)
-    turned = rotation_from_vector(motion.pose[:, 3:])
+    rotations = rotation_from_vector(motion.pose[:, 3:])
     rest = position[0] - tracked.centre_m
     carried = position - tracked.centre_m - motion.pose[:, None, :3]
     along = np.array(block.angles)
-    field = apparent_field(position[0], carried @ turned - rest, along)
+    field = apparent_field(position[0], carried @ rotations - rest, along)
     epipolar, *_ = epipolar_residual(rig, tracked.left_px, tracked.right_px)
     centre = (position - position[0]).mean(axis=1)
     parts = (along, centre, motion, field, epipolar.mean(axis=0), tracked.left_px.mean(axis=0), None, None)

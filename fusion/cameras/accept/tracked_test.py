@@ -1,4 +1,4 @@
-"""Images of one test tracked: subsets of both cameras, their points, and the body's motion about its centre."""
+"""Images of one test tracked: subsets of both cameras, and their points."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ STATIONARY_SUBSET_FRAMES = 200
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackedTest(Arrays, shapes="left_px F N 2; right_px F N 2; centre_m 3"):
-    """N subsets of a body in the F pairs of images of a test that have subsets.
+    """N subsets of a body in F pairs of images of a test.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[
 
 
 def _inliers(position_m: FloatArray) -> BoolArray:
-    """Return which points (N,) move like a smooth function of their place: the others are mismatches."""
+    """Return which points (N,) move like a smooth function of their place."""
     moved = position_m - position_m[0]
     far = int(np.argmax(np.linalg.norm(np.median(moved, axis=1), axis=1)))
     offset = position_m[0] - np.median(position_m[0], axis=0)
