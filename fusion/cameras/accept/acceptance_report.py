@@ -249,7 +249,7 @@ def printed(evaluation: AcceptanceEvaluation) -> Iterator[str]:
         yield f"{name}: {overall(rows)}, {passed} of {len(rows)} quantities pass"
     open_rows = [row for row in evaluation.rows if row.verdict != "PASS"]
     for row in open_rows[:PRINTED_ROWS]:
-        yield f"  {row.verdict} {row.test}: {row.label} {row.value_text}, tolerance {row.tolerance_text}"
+        yield f"  {row.verdict} {row.test}: {row.label}: {row.value_text}, tolerance {row.tolerance_text}"
     if len(open_rows) > PRINTED_ROWS:
         yield f"  and {len(open_rows) - PRINTED_ROWS} more on the page"
     yield f"verdict: {evaluation.verdict}"
