@@ -322,4 +322,5 @@ def diagnose(rig: StereoRig, plates: Sequence[MovedPlate]) -> Diagnosis:
     best = max(fits, key=lambda fit: fit.gain)
     limit = best.gain - max(ALTERNATIVE_CHI2, SIMILAR * best.chi2)
     first, *similar = [fit for fit in fits if fit.gain >= limit]
-    return Diagnosis(first, tuple(similar), tuple(fit for fit in fits if fit.gain < limit))
+    others = sorted((fit for fit in fits if fit.gain < limit), key=lambda fit: -fit.gain)
+    return Diagnosis(first, tuple(similar), tuple(others))
