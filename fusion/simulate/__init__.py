@@ -15,18 +15,8 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
-PRESETS = (
-    *RECORDINGS,
-    "targets",
-    "acceptance",
-    "chirp",
-    "masses",
-    "pitching",
-    *GRAVITY_TESTS,
-    "steps",
-    "loads",
-    "elastomer",
-)
+CAMERA_TESTS = ("targets", "acceptance")
+PRESETS = (*RECORDINGS, *CAMERA_TESTS, "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
 
 
 def simulate(
