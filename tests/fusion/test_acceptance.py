@@ -30,11 +30,13 @@ from fusion.cameras.accept.acceptance_notices import LATE_FRAMES, LIKELY_FAULT, 
 from fusion.cameras.accept.acceptance_rows import AcceptanceRow
 from fusion.cameras.accept.apparent_field import apparent_field
 from fusion.cameras.accept.calibration_faults import MovedPlate, diagnose, plate_noise
+from fusion.cameras.accept.moved_plate import measure_translation
+from fusion.cameras.accept.tracked_test import TrackedTest
 from fusion.cli import main
 from fusion.recording.toml import to_toml
 from fusion.simulate.acceptance import write_acceptance
 from photogram.calibration.calibration_file import read_calibration, write_calibration
-from photogram.camera import Camera, StereoRig
+from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from shakercal._common.arrays import FloatArray
 
@@ -266,6 +268,38 @@ def test_faults_are_named_from_points(case: str, simulated: Path) -> None:
         assert np.abs(found.best.value - [-1e-4, 2e-4, -1e-4]).max() < 4.0 * found.best.u.max()
     if case == "scale":
         assert found.best.value == pytest.approx([1.0 / 0.998 - 1.0], abs=4.0 * float(found.best.u[0]))
+
+
+def test_a_published_rig_is_to_scale_but_off_its_epipolar_lines(data_dir: Path) -> None:
+    """DuoDIC's translation test: published mean error 1.3 µm; its calibration states no uncertainty."""
+    folder = data_dir / "duodic_rigid"
+    stored, rig = np.load(folder / "matched_points.npz"), read_calibration(folder / "calibration.json")
+    left, right = (stored[side].astype(np.float64) for side in ("left", "right"))
+    finite = np.isfinite(triangulate(rig, left, right).position_m).all(axis=(0, 2))
+    left, right = left[:, finite], right[:, finite]
+    noise = 0.01**2 * np.eye(2)
+    points = triangulate(rig, left, right, noise, noise)
+    place = points.position_m[0]
+    pixel_m = float(np.median(place[:, 2])) / float(rig.left.matrix[0, 0])
+    tracked = TrackedTest(left, right, points, place.mean(axis=0), pixel_m, 10)
+    block = TranslationBlock.model_construct(
+        name="stage",
+        left=(),
+        right=(),
+        positions=tuple(stored["stage_translation_m"].tolist()),
+        position_uncertainty=1e-6,
+        scale_uncertainty=5e-5,
+        rotation_uncertainty=2e-5,
+        straightness_uncertainty=1e-6,
+    )
+    test = measure_translation(rig, block, tracked, Tolerances())
+    rows = {row.name: row for row in test.rows}
+    assert abs(rows["scale"].value) < rows["scale"].expanded
+    assert rows["position"].value < 5e-6
+    assert rows["strain"].verdict == "PASS"
+    assert rows["epipolar"].verdict == "FAIL"
+    assert 0.1 < rows["epipolar"].value < 0.15
+    assert test.late is None  # equal steps
 
 
 # Documents.
