@@ -133,15 +133,14 @@ def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[
 
 
 def _inliers(position_m: FloatArray) -> BoolArray:
-    """Return which points (N,) move like a smooth function of their place."""
-    moved = position_m - position_m[0]
-    far = int(np.argmax(np.linalg.norm(np.median(moved, axis=1), axis=1)))
+    """Return which points (N,) move like a smooth function of their place in all frames."""
+    moved = np.concatenate(position_m[1:] - position_m[0], axis=1)
     offset = position_m[0] - np.median(position_m[0], axis=0)
     plane = (offset @ plate_axes(offset))[:, :2]
     good = np.ones(len(plane), dtype=np.bool_)
     for _ in range(3):
         design = polynomials(plane, CUBIC)
-        left_over = np.abs(moved[far] - design @ (np.linalg.pinv(design[good]) @ moved[far][good]))
+        left_over = np.abs(moved - design @ (np.linalg.pinv(design[good]) @ moved[good]))
         scatter = 1.4826 * np.median(left_over[good], axis=0) + 1e-12
         good = np.asarray((left_over <= OUTLIER * scatter).all(axis=1))
     return good
