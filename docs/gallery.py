@@ -31,11 +31,15 @@ IMAGES_OF_A_PERIOD, TIME_OF_AN_IMAGE_MS = 16, 90
 
 
 class Entry(NamedTuple):
-    """One page: commands after `shakercal` in one common folder, the page that they write, and a caption."""
+    """One page: commands after `shakercal` in one common folder, the page that they write, and a caption.
+
+    `status`: exit status of the last command.
+    """
 
     commands: tuple[str, ...]
     page: str
     caption: str
+    status: int = 0
 
 
 def _made(preset: str, command: str, page: str, caption: str) -> Entry:
@@ -69,6 +73,9 @@ GALLERY = {
         "top.html",
         "Calibration of a stereo pair from images of a target",
     ),
+    "acceptance": _made(
+        "acceptance", "accept * -o out/*", "acceptance.html", "Acceptance test of a stereo rig, which passes"
+    ),
     "chirp": _made("chirp", "transfer * -o out/*", "transfer.html", "Transfer functions and a resonance from a chirp"),
     "masses": _made("masses", "identify * -o out/*", "identify.html", "Stiffness, damping, internal mass of a sensor"),
     "pitching": _made("pitching", "identify * -o out/*", "identify.html", "A horizontal set-up whose load pitches"),
@@ -94,7 +101,7 @@ GALLERY = {
 SECTIONS = {
     "One recording": ("demo", "single", "bending", "room", "laboratory", "nitsche2018"),
     "Campaigns": ("sweep", "matrix", "compare"),
-    "Cameras": ("targets",),
+    "Cameras": ("targets", "acceptance"),
     "Models of the sensor": ("rotation", "orientations", "chirp", "masses", "pitching"),
     "Releases and filters": ("steps", "loads", "compensate", "decouple", "elastomer"),
 }
@@ -105,6 +112,7 @@ CONTENTS = {
     "room": "the motion of the floor, by patches at rest in the images, and the corrected result",
     "laboratory": "the bending of the load mass, and the motion of the room by the patches at rest",
     "nitsche2018": "the sensitivity at the frequency and amplitude of a published measurement",
+    "acceptance": "verdicts for noise, scale, straightness and epipolar distances of a rig, and the most likely fault",
     "sweep": "magnitude and phase over frequency, and the scatter of repeats and mountings",
     "matrix": "the main elements with U, the map of cross-talk, and the poses and scales of all recordings together",
     "compare": "the degrees of equivalence with U, and the values that U does not cover",
@@ -140,16 +148,16 @@ class Laboratory:
         """Return the path of the page of an entry."""
         (self.place / entry.page).parent.mkdir(parents=True, exist_ok=True)
         for command in entry.commands:
-            self.run(command)
+            self.run(command, entry.status if command == entry.commands[-1] else 0)
         return self.place / entry.page
 
-    def run(self, command: str) -> None:
+    def run(self, command: str, expected: int = 0) -> None:
         """Run a command in the folder, unless it has been run."""
         if command not in self._done:
             with chdir(self.place):
                 status = main([*command.split(), "-q", "--force"])
-            if status:
-                sys.exit(f"docs/gallery.py: {command}: expected exit status 0, found {status}")
+            if status != expected:
+                sys.exit(f"docs/gallery.py: {command}: expected exit status {expected}, found {status}")
             self._done.add(command)
 
 

@@ -14,7 +14,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from gallery import GALLERY, Laboratory, browser_and_laboratory
+from gallery import GALLERY, Entry, Laboratory, browser_and_laboratory
 from PIL import Image
 from walkthrough import follow
 
@@ -42,8 +42,20 @@ PICTURES = {
     "normalised": ("compare", "#figure-normalised", "#figure-normalised"),
     "rotation": ("rotation", "#figure-rotation-with-load-forces", "#figure-rotation-with-load-forces"),
     "transfer": ("chirp", "#figure-transfer-top-base", "#figure-transfer-top-base"),
+    "acceptance": ("acceptance", "header", ".headlines"),
+    "acceptance-noise": ("shaken rig", "#figure-noise-spectrum", "#figure-noise-spectrum"),
+    "acceptance-fields": ("rig without distortion", "#figure-fields-translation-x", "#figure-fields-translation-x"),
 }
-"""Entry of the gallery, and the first elements that a picture begins and ends with."""
+"""Entry of the gallery or of `FAULTY`, and the first elements that a picture begins and ends with."""
+
+
+def _faulty(name: str, fault: str) -> Entry:
+    """Return the page of an acceptance test that fails."""
+    simulated = f"simulate {name} --preset acceptance --violate {fault}"
+    return Entry((simulated, f"accept {name} -o out/{name}"), f"out/{name}/acceptance.html", "", 1)
+
+
+FAULTY = {"shaken rig": _faulty("shaken", "vibration"), "rig without distortion": _faulty("flat", "no-distortion")}
 EXAMPLES = ("motion_from_images", "compensated_release")
 CERTIFIED = {
     **{"number": "2026-0815", "issued": "2026-11-23", "received": "2026-11-15", "operator": "A. Operator"},
@@ -77,10 +89,10 @@ def make_pictures(chosen: list[str]) -> None:
             keep_first_screens(browser, folder)
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
-            _keep(browser, laboratory.page(GALLERY[entry]), IMAGES / f"{picture}.png", *ends)
-        for name, picture in (("certificate", _certificate), ("viewer", _viewer), ("light", _light)):
+            _keep(browser, laboratory.page((GALLERY | FAULTY)[entry]), IMAGES / f"{picture}.png", *ends)
+        for name, draw in (("certificate", _certificate), ("viewer", _viewer), ("light", _light)):
             if not chosen or name in chosen:
-                picture(browser, laboratory)
+                draw(browser, laboratory)
     if not chosen or "plan" in chosen:
         main([*PLAN.split(), str(IMAGES / "plan.png"), "-q"])
     for example in EXAMPLES:

@@ -1,4 +1,4 @@
-"""Commands for cameras: calibration, import and export of calibrations, pose of a pair.
+"""Commands for cameras: calibration, import and export of calibrations, pose of a pair, acceptance test.
 
 Each command has a function for its options, and one for its action, which imports heavy modules. Its docstring is its
 help.
@@ -10,7 +10,18 @@ import argparse
 from dataclasses import replace
 
 from fusion.base import Settings
-from fusion.commands.options import Parser, command, in_metres, length, path, share, size, whole_numbers
+from fusion.commands.options import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    in_metres,
+    length,
+    path,
+    share,
+    size,
+    whole_numbers,
+)
 from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
 from fusion.report.terminal import progress_bar
 
@@ -155,4 +166,27 @@ def align(options: argparse.Namespace) -> None:
     print(text, end="")
 
 
-COMMANDS = (cameras, import_calibration, export_calibration, align)
+def _accept_options(parser: Parser) -> None:
+    parser.value("acceptance", path, "FOLDER", "folder with acceptance.toml, or that file")
+    parser.allow_outside("acceptance.toml")
+    parser.results("FOLDER/accept")
+    parser.json()
+
+
+@command(_accept_options, "acceptance")
+def accept(options: argparse.Namespace) -> int:
+    """Test whether a stereo rig measures correctly: at rest, and moved by known steps."""
+    from fusion.cameras.accept.acceptance_report import run_acceptance
+
+    with progress_bar(enabled=not options.quiet and not options.json) as progress:
+        failed = run_acceptance(
+            options.acceptance,
+            options.output,
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
+    return EXIT_FAILED if failed else EXIT_DONE
+
+
+COMMANDS = (cameras, import_calibration, export_calibration, align, accept)

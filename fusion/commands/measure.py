@@ -137,7 +137,8 @@ def _simulate_options(parser: Parser) -> None:
     text = (
         "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
         "sweep, matrix: campaigns for a curve over frequency and for the 6x6; files: a laboratory's files without "
-        "manifests, for shakercal init; targets: a camera calibration; chirp: a recording for shakercal "
+        "manifests, for shakercal init; targets: a camera calibration; acceptance: a rig for shakercal accept; "
+        "chirp: a recording for shakercal "
         "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
         "rotate; steps: one for shakercal step; loads: one for shakercal load; elastomer: a geometry for shakercal "
         "elastomer"
@@ -145,8 +146,8 @@ def _simulate_options(parser: Parser) -> None:
     parser.choice("--preset", PRESETS, text)
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     text = (
-        "violate one assumption of the program in a preset of sines, may be repeated; "
-        "docs/assumptions.md lists the names, units and default sizes"
+        "violate one assumption of the program in a preset of sines, or add a fault to the rig of preset acceptance; "
+        "may be repeated; docs/assumptions.md and docs/acceptance.md list the names, units and default sizes"
     )
     parser.add_argument("--violate", action="append", metavar="NAME[=SIZE]", default=[], help=text)
     parser.switch("--force", "overwrite an earlier simulation")

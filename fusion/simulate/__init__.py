@@ -16,7 +16,8 @@ RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", 
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
 CHIRPS = ("chirp", "masses", "pitching")
-PRESETS = (*RECORDINGS, "files", "targets", *CHIRPS, *GRAVITY_TESTS, "steps", "loads", "elastomer")
+CAMERA_TESTS = ("targets", "acceptance")
+PRESETS = (*RECORDINGS, "files", *CAMERA_TESTS, *CHIRPS, *GRAVITY_TESTS, "steps", "loads", "elastomer")
 
 
 def simulate(
@@ -60,7 +61,8 @@ def simulate(
     """
     if preset not in PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
-    if switches and preset not in (*RECORDINGS, "files"):
+    violated = preset == "acceptance" and [*switches] == ["violate"]
+    if switches and preset not in (*RECORDINGS, "files") and not violated:
         raise ValueError(f"{next(iter(switches))}: expected one of the presets {', '.join(RECORDINGS)}, found {preset}")
     out = Path(out)
     _check_out(out)
@@ -98,6 +100,10 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
             write_masses(folder, seed, progress)
         else:
             (write_chirp if preset == "chirp" else write_pitching)(folder, seed)
+    elif preset == "acceptance":
+        from fusion.simulate.acceptance import write_acceptance
+
+        write_acceptance(folder, seed, progress, **switches)
     elif preset in ("steps", "loads"):
         from fusion.simulate.releases import write_loads, write_steps
 

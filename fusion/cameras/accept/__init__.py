@@ -1,0 +1,1 @@
+"""Acceptance test of a stereo rig: stationary scene, known translation, known rotation."""
