@@ -91,10 +91,10 @@ class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; poin
     origin_m: FloatArray
 
     def about(self, origin_m: FloatArray) -> RigidMotion:
-        """Return the same motion about another origin (3,): t' = t + (R - 1)·(o' - o).
+        """Return the same motion about another origin (3,).
 
-        Far from the body a small error of the rotation is a large error of the translation. About the body's centroid
-        the two hardly correlate, and the translation has its smallest uncertainty.
+        t' = t + (R - 1)·(o' - o). Far from the body a small error of the rotation is a large error of the translation.
+        About the body's centroid the two hardly correlate, and the translation has its smallest uncertainty.
         """
         origin = np.asarray(origin_m, dtype=np.float64)
         check_shape("origin_m", origin, (3,))

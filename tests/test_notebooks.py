@@ -14,6 +14,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = ROOT / "docs" / "notebooks"
 CELL = re.compile(r"^```\{code-cell\} ipython3\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+WIDEST = 90
+"""Characters of a line of code that pages show without scrolling."""
 
 
 def check_first_result(found: dict[str, Any]) -> None:
@@ -87,6 +89,7 @@ def test_cells_run_and_numbers_agree_with_the_truth(
     text, found = (NOTEBOOKS / f"{name}.md").read_text(encoding="utf-8"), dict[str, Any]()
     cells = CELL.findall(text)
     assert len(cells) == text.count("{code-cell}") > 2
+    assert max(len(line) for cell in cells for line in cell.splitlines()) <= WIDEST
     assert f"{{nb-download}}`{name}.ipynb`" in text
     try:
         for cell in cells:

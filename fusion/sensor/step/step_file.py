@@ -25,7 +25,7 @@ COVERAGE = 2.0  # coverage factor of U: the noise of thousands of samples has ma
 
 
 class PoleValue(NamedTuple):
-    """A mode, or with damping ratio 1 a real pole, of one channel; U for 95 %."""
+    """A pole of a channel, with U; real poles have damping ratio 1."""
 
     file: str
     channel: str
@@ -50,7 +50,7 @@ def is_data_file(path: Path) -> bool:
 
 
 def fitted_poles(file: str, fit: StepFit) -> Iterator[PoleValue]:
-    """Yield the modes of a model by frequency, then the real poles that the record determines."""
+    """Yield the modes by frequency, then the real poles that the record determines."""
     model = fit.model
     if model is None or model.covariance is None:
         return
@@ -78,9 +78,15 @@ def print_poles(paths: Sequence[Path], settings: StepSettings) -> None:
             records = [read_step_record(path, channel) for channel in read_channels(path)]
         for record in records:
             (channel,) = record.channels
-            structure = {"modes": settings.modes, "real_poles": settings.real_poles}
             try:
-                fit = fit_step(record, channel, **structure, method=settings.method, release=release)
+                fit = fit_step(
+                    record,
+                    channel,
+                    modes=settings.modes,
+                    real_poles=settings.real_poles,
+                    method=settings.method,
+                    release=release,
+                )
             except FAILURES as error:
                 reasons.append(f"{channel}: {error}")
                 continue
