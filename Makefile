@@ -67,6 +67,7 @@ sample-images: .venv/installed
 benchmark: .venv/dev build/peers/installed
 	$(BIN)/python benchmarks/nitsche2018.py
 	$(BIN)/python benchmarks/commands.py --docs docs
+	$(BIN)/python benchmarks/growth.py --docs docs
 	$(BIN)/python benchmarks/tracking.py --docs docs --peer-python build/peers/bin/python
 	$(BIN)/python benchmarks/gpu.py --docs docs
 	$(BIN)/python benchmarks/pages.py --docs docs

@@ -19,14 +19,14 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from marked import write_marked
+from marked import short_table, write_marked
 from numpy.typing import NDArray
 
 from photogram.calibration.bundle import model_pixels
@@ -87,7 +87,8 @@ def main() -> None:
             rows = faulty_rows if name == "faults" else held_rows
             lines = rows(range(options.first, options.first + options.rigs))
             if options.write is not None:
-                write_marked(options.write, {name: "\n".join(lines)})
+                columns, keep = PAGE_TABLES[name]
+                write_marked(options.write, {name: short_table(lines[0], lines[2:], columns, keep)})
             continue
         if name == "real":
             real_dot_grid()
@@ -230,6 +231,12 @@ def faulty_session(
     return calibration, normalised_errors(calibration, rig, float(rng.choice(faults.growth(views))))
 
 
+FAULTS_SHOWN = ("none", "all of these", "focal lengths warm up by 0.05 %", "all with faults")
+PAGE_TABLES: dict[str, tuple[tuple[int, ...], Callable[[list[str]], bool]]] = {
+    "faults": ((0, 1, 5, 6, 7, 8), lambda cells: cells[0] in FAULTS_SHOWN),
+    "held": ((0, 1, 4, 6, 7), lambda cells: cells[1] != "2" and "trembles" not in cells[0]),
+}
+"""Columns and rows of the tables that the page shows."""
 HELD_POSES = 10
 HELD = {  # images of each pose, error that they share, rad and tenths of m by which the target trembles
     "0.05 px shared": [(each, 0.05, 0.0) for each in (1, 2, 4, 8)],

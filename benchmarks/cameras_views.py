@@ -39,7 +39,6 @@ from photogram.images.sequence import ImageSequence
 from photogram.measure.follow import BodyScene, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import Face, View, motion_bound, render, view_of
-from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -89,8 +88,8 @@ def combined(fits: Sequence[DirectFit]) -> tuple[FloatArray, FloatArray]:
     return covariance @ np.sum([w @ fit.moved.pose for w, fit in zip(weights, fits, strict=True)], axis=0), covariance
 
 
-def arrangement(name: str, instruments: Sequence[Instrument], face: Face, poses: FloatArray) -> list[str]:
-    """Return the rows of an arrangement: bound, standard deviations over it, and what a joint fit would change."""
+def arrangement(name: str, instruments: Sequence[Instrument], face: Face, poses: FloatArray) -> str:
+    """Return the row of an arrangement: bounds, standard deviations over them, and what a joint fit would change."""
     views = [view for one in instruments for view in one.views]
     sensor = read_preset(Preset, "demo").stereo[0].sensor
     bound = np.sqrt(np.diagonal(motion_bound(views, face, sensor)))
@@ -103,13 +102,10 @@ def arrangement(name: str, instruments: Sequence[Instrument], face: Face, poses:
         u.append(np.sqrt(np.diagonal(covariance)))
     spread = [np.std(errors, axis=0, ddof=1) for errors in (apart, joint)]  # the reference's noise is in all frames
     mean_u, between = np.mean(u, axis=0), np.std(np.array(apart) - joint, axis=0, ddof=1)
-    rows = []
-    for c, component in enumerate(MOTION_COMPONENTS):
-        figures = spread[0][c] / bound[c], spread[1][c] / bound[c], mean_u[c] / bound[c], between[c] / mean_u[c]
-        size, unit = (1e9 * bound[c], "nm") if c < 3 else (1e6 * bound[c], "µrad")
-        cells = [name, component, f"{size:.3g} {unit}", *(f"{figure:.3f}" for figure in figures)]
-        rows.append("| " + " | ".join(cells) + " |")
-    return rows
+    ratios = np.array([spread[0] / bound, spread[1] / bound, mean_u / bound])
+    sizes = [f"{float(f'{size:.3g}'):g}" for size in [*(1e9 * bound[:3]), *(1e6 * bound[3:])]]
+    cells = [name, *sizes, *(f"{np.mean(ratio):.3f}" for ratio in ratios), f"{np.max(between / mean_u):.3f}"]
+    return "| " + " | ".join(cells) + " |"
 
 
 def arrangements(frames: int) -> list[str]:
@@ -128,8 +124,8 @@ def arrangements(frames: int) -> list[str]:
         ("two pairs", [pair, back]),
         ("two pairs and one camera", [pair, back, aside]),
     ):
-        rows += arrangement(name, chosen, face, poses)
-        print("\n".join(rows[-6:]), flush=True)
+        rows.append(arrangement(name, chosen, face, poses))
+        print(rows[-1], flush=True)
     return rows
 
 
@@ -143,7 +139,7 @@ def evaluated(preset: Preset, seed: int) -> tuple[Evaluation, dict[str, list[lis
 
 
 def coverage(seeds: int) -> list[str]:
-    """Return a row for each component of the load at the driven line: by cameras, by the lasers, by all."""
+    """Return a row for each group of instruments, with the load's components at the driven line."""
     single, demo = (read_preset(Preset, name) for name in ("single", "demo"))
     beside = replace(single.stereo[0], name="side", face_up=(1.0, 0.0, 0.0))
     cases = {
@@ -162,13 +158,15 @@ def coverage(seeds: int) -> list[str]:
                         errors.setdefault((found.source, c), []).extend(told)
             disagree += any(notice.code == INSTRUMENTS_DISAGREE.code for notice in evaluation.notices)
             print(f"{name}: seed {seed} done", flush=True)
-        for (source, c), seen in sorted(errors.items(), key=lambda item: (list(SOURCES).index(item[0][0]), item[0][1])):
-            error, u, held = (np.array(column) for column in zip(*seen, strict=True))
-            cells = [name, SOURCES[source], MOTION_COMPONENTS[c]]
-            cells += [f"{np.median(u):.3g} {'m/s²' if c < 3 else 'rad/s²'}"]
-            cells += [f"{np.sqrt(np.mean((error / u) ** 2)):.2f}", f"{int(held.sum())} of {len(held)}"]
+        for source, by in SOURCES.items():
+            seen = {c: np.array(parts).T for (of, c), parts in sorted(errors.items()) if of == source}
+            sizes = {c: f"{np.median(u):.2g}" for c, (_, u, _) in seen.items()}
+            words = [", ".join(sizes.get(c, "–") for c in range(start, start + 3)) for start in (0, 3)]
+            over = np.concatenate([error / u for error, u, _ in seen.values()])
+            covered = np.concatenate([inside for _, _, inside in seen.values()])
+            cells = [name, by, *words, f"{np.sqrt(np.mean(over**2)):.2f}", f"{int(covered.sum())} of {len(covered)}"]
             rows.append("| " + " | ".join(cells) + " |")
-        rows.append(f"| {name} | recordings whose instruments are told to disagree | | | | {disagree} of {seeds} |")
+        print(f"{name}: instruments disagree in {disagree} of {seeds} recordings", flush=True)
     print("\n".join(rows))
     return rows
 
@@ -184,10 +182,9 @@ def _errors(phasors: Phasors, true: ComplexArray) -> Iterator[tuple[int, list[tu
 
 SOURCES = {"photogrammetry": "cameras", "vibrometer": "lasers", "fused": "all"}
 ARRANGED = (
-    "| cameras | component | Cramér–Rao bound of a frame | combined over it | joint fit over it | stated u over it "
-    "| combined − joint, in u |"
+    "| cameras | x / nm | y / nm | z / nm | rx / µrad | ry / µrad | rz / µrad | combined | joint | stated | Δ / u |"
 )
-COVERED = "| before the load | by | component | u of a part, median | error over u, rms | within ±U, parts |"
+COVERED = "| cameras | result of | u of x, y, z / (m/s²) | u of rx, ry, rz / (rad/s²) | error over u, rms | within ±U |"
 
 
 def main() -> None:

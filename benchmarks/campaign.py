@@ -3,7 +3,7 @@
     python benchmarks/campaign.py [--recordings 48] [--folder FOLDER]
 
 Recordings of another program's points (preset `sweep`: 12 frequencies, 4 recordings each) with their reports, computed
-one way after the other on the same machine. Prints the rows of the table in docs/performance.md.
+one way after the other on the same machine. Prints a table.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from marked import markdown_table, write_marked
+from marked import short_table, write_marked
 
 Array = np.ndarray
 STAR = "data/dic/challenge/DIC_Challenge_Star_Noise_{}.tiff"
@@ -260,7 +260,9 @@ def main() -> None:
                 shares.setdefault(f"{program} {order}", amplitude(here))
                 print(lines[-1], flush=True)
     if options.docs:
-        write_marked(options.docs / "tracking.md", {"challenge": markdown_table(HEAD, list(map(str, lines)))})
+        rows = list(map(str, lines))
+        table = short_table(HEAD, rows, (0, 1, 3, 4, 5, 6, 8), lambda cells: cells[2] == "25 × 25")
+        write_marked(options.docs / "tracking.md", {"challenge": table})
         (options.docs / "images" / "challenge.png").write_bytes(draw(lines, shares))
 
 

@@ -39,7 +39,6 @@ from fusion.sensitivity.analyse import with_estimates
 from photogram.motion import Deformation, RigidMotion
 from shaker.io.channel import RawChannel
 from shaker.lines.frequencies import LineFrequencies
-from shaker.signal_notices import CONTRADICTORY_PERIOD
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import find_edges
@@ -172,10 +171,9 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
 class Found:
     """Errors and their standard uncertainties (6, 2): exposures in the middle (s) and their rate, the phase along z
     (rad), the tie in the middle (s), exposures as the bridge's clock has them, how far the output lags the motion of
-    all instruments (s); `told`: whether a period is said to contradict its edges."""
+    all instruments (s)."""
 
     errors: FloatArray
-    told: bool
 
 
 def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequencies) -> Found:
@@ -205,8 +203,7 @@ def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequ
         (float(np.mean(late)) - float(tie.to_base_s(np.array(there))) + here, float(np.linalg.norm(apart))),
         output_lag(one, base, seen.reading, lines),
     )
-    told = any(n.code == CONTRADICTORY_PERIOD.code for fit in base.triggers.values() for n in fit.notices)
-    return Found(np.array(pairs), told)
+    return Found(np.array(pairs))
 
 
 def output_lag(one: Simulated, base: TimeBase, pair: StereoReading, lines: LineFrequencies) -> tuple[float, float]:
@@ -278,10 +275,8 @@ def bound() -> float:
 
 
 HEAD = (
-    "| edges move by, in samples | by | exposures: median, rms, u / µs | rate: rms, u / 10⁻⁶ "
-    "| tie: median, rms, u / µs | camera to bridge: rms, u / µs | phase: rms, u / mrad "
-    "| output on motion: median, rms, u / µs | least u: exposures, output / µs "
-    "| within 2 u: exposures, rate, tie, camera to bridge, phase, output | told |"
+    "| edges move by / samples | by | exposures: rms, u / µs | rate: rms, u / 10⁻⁶ | output: median, rms, u / µs "
+    "| least possible rms of the output / µs | within 2 u: exposures, rate, output |"
 )
 LEAST = (
     "| edges move by, in samples | exposures by edges and rate | with phases | output | noise / 3 | noise / 10 "
@@ -303,13 +298,10 @@ def cells(case: str, by: str, draws: list[Found], least: str) -> str:
     error, u = np.array([one.errors for one in draws]).transpose(2, 1, 0)
     size, stated = (np.sqrt(np.mean(values**2, axis=1)) for values in (error, u))
     median, inside = np.median(np.abs(error), axis=1), 100.0 * np.mean(np.abs(error) <= 2.0 * u, axis=1)
-    micro = {k: f"{1e6 * median[k]:.3f}, {1e6 * size[k]:.3f}, {1e6 * stated[k]:.3f}" for k in (0, 3, 5)}
-    columns = (
-        case, by, micro[0], f"{1e6 * size[1]:.3f}, {1e6 * stated[1]:.3f}", micro[3],
-        f"{1e6 * size[4]:.3f}, {1e6 * stated[4]:.3f}", f"{1e3 * size[2]:.3f}, {1e3 * stated[2]:.3f}", micro[5], least,
-        ", ".join(f"{inside[k]:.0f}" for k in (0, 1, 3, 4, 2, 5)) + " %",
-        f"{sum(one.told for one in draws)}",
-    )  # fmt: skip
+    exposures, output = (f"{1e6 * size[k]:.3f}, {1e6 * stated[k]:.3f}" for k in (0, 5))
+    within = ", ".join(f"{inside[k]:.0f}" for k in (0, 1, 5)) + " %"
+    rate = f"{1e6 * size[1]:.3f}, {1e6 * stated[1]:.3f}"
+    columns = case, by, exposures, rate, f"{1e6 * median[5]:.3f}, {output}", least, within
     return "| " + " | ".join(columns) + " |"
 
 
@@ -321,7 +313,7 @@ def rows(name: str, draws: int, tell: Callable[[str], None]) -> tuple[list[str],
     least, told = "–", list[str]()
     if CASES[name].rises == (step, step):
         found = np.array([[least_u(one, beside, *way[:3])[way[3]] for way in WAYS] for one in all_drawn])
-        least = ", ".join(f"{1e6 * np.sqrt(np.mean(found[:, k] ** 2)):.3f}" for k in (0, 2))
+        least = f"{1e6 * np.sqrt(np.mean(found[:, 2] ** 2)):.3f}"
         told = ["| " + " | ".join([name, *(f"{1e6 * u:.3f}" for u in np.median(found, axis=0))]) + " |"]
     both_ways = zip(("edges", "motion"), ("–", least), zip(*pairs, strict=True), strict=True)
     lines = [cells(name, by, list(one), bound_u) for by, bound_u, one in both_ways]

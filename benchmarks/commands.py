@@ -1,31 +1,28 @@
-"""Whole commands from start to end: wall time, CPU time and memory, alone or beside those of another checkout.
+"""Whole commands from start to end: CPU time and memory, alone or compared with those of another checkout.
 
 Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOLDER] [--docs docs]
 
-Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
-times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
-simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated, and as most cameras write them), which takes
-two minutes to render and is kept in --keep; the same with cameras of 1280 x 1024 px and some 1000 subsets in each takes
-four minutes and 1.4 GB, and is run on one core too. `lines` reads 30 million samples; `step` and `decouple` fit the 19
-releases of preset `steps`, `cameras` the pictures of preset `targets`, `compensate` takes the models of `elastomer`.
-With --docs the table goes to performance.md there.
+Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest time
+counts. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a simulated
+`nitsche2018` (844 images of 640 x 512 px, 12 bit, deflated), which takes two minutes to render and is kept in --keep;
+the same with cameras of 1280 x 1024 px and some 1000 subsets in each takes four minutes and 1.4 GB. `lines` reads 30
+million samples; `step` and `decouple` fit the 19 releases of preset `steps`, `cameras` the images of preset `targets`,
+`compensate` uses the models of `elastomer`. CPU time depends little on other programs of the machine. With --docs the
+table goes to performance.md there, without the other checkout.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
-import tifffile
 from marked import markdown_table, write_marked
 
 from fusion.cli import main as shakercal
@@ -37,44 +34,37 @@ SAMPLES, RATE_HZ = 30_000_000, 51_200.0
 
 @dataclass(frozen=True)
 class Case:
-    """A command, what the table calls it, what was asked of its wall or CPU time, its arguments, on one core or all."""
+    """A command: its name in the table, its arguments."""
 
     name: str
-    asked: str
     arguments: tuple[str, ...]
-    one_core: bool = False
 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took."""
+    """Resources that a process used."""
 
-    wall_s: float
     cpu_s: float
     peak_mb: float
 
 
 def cases(kept: Path, results: Path) -> list[Case]:
-    """Commands, from the shortest to the longest."""
+    """Return the commands by kind."""
     recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
-    large = ("run", str(kept / "large" / recording.name), *run)
     pictures, charuco = (str(kept / "targets" / side) for side in ("left", "right")), ("--target", "charuco")
     models = kept / "elastomer" / "models.json"
     free = (*charuco, "--size", "11x8", "--spacing", "9e-3", "--shape", "free", "-o", f"{results}.json", *run[2:])
     return [
-        Case("`--help`", "0.15 s of CPU", ("--help",)),
-        Case("`check` of the demo", "0.6 s of CPU", ("check", str(DEMO), "-q")),
-        Case("`run` of the demo's recording, 96 pictures", "4 s", ("run", str(DEMO / "Fz-0080"), *run)),
-        Case("`lines`, 30 million samples", "5 s", ("lines", str(kept / "long.h5"), "-q")),
-        Case("`compensate`, six channels", "", ("compensate", str(models), "--frequency", "900", *run)),
-        Case("`decouple`, 19 releases", "a third", ("decouple", str(kept / "steps"), *run)),
-        Case("`step --method all`, 19 releases", "a third", ("step", str(kept / "steps"), "--method", "all", *run)),
-        Case("`cameras --shape free`, 2 × 10 pictures", "a third", ("cameras", *pictures, *free)),
-        Case("`run`, 844 pictures of 640 × 512 px", "10 s", ("run", str(recording), *run)),
-        Case("the same, pictures not compressed", "10 s", ("run", str(kept / "plain" / recording.name), *run)),
-        Case("the same, compressed, `--workers 2`", "10 s", ("run", str(recording), *run, "--workers", "2")),
-        Case("`run`, 844 pictures of 1280 × 1024 px", "35 s of CPU, 20 s", large),
-        Case("the same on one core", "1.6 times as long", large, one_core=True),
+        Case("`--help`", ("--help",)),
+        Case("`check` of the demo", ("check", str(DEMO), "-q")),
+        Case("`run` of the demo, 96 images of 304 × 240 px", ("run", str(DEMO / "Fz-0080"), *run)),
+        Case("`run`, 844 images of 640 × 512 px", ("run", str(recording), *run)),
+        Case("`run`, 844 images of 1280 × 1024 px", ("run", str(kept / "large" / recording.name), *run)),
+        Case("`lines`, 30 million samples", ("lines", str(kept / "long.h5"), "-q")),
+        Case("`cameras --shape free`, 2 × 10 images", ("cameras", *pictures, *free)),
+        Case("`step --method all`, 19 releases", ("step", str(kept / "steps"), "--method", "all", *run)),
+        Case("`decouple`, 19 releases", ("decouple", str(kept / "steps"), *run)),
+        Case("`compensate`, six channels", ("compensate", str(models), "--frequency", "900", *run)),
     ]
 
 
@@ -93,10 +83,6 @@ def make_inputs(kept: Path) -> None:
 
         larger, draws = replace(read_preset(Preset, "nitsche2018"), stereo=tuple(setups())), Draws(1, True)
         write_run(kept / "large", rendered_run(larger), make_world(larger, draws, TRIGGER_JITTER_S), draws)
-    if not (kept / "plain").is_dir():  # as most cameras write them
-        shutil.copytree(kept / "nitsche2018", kept / "plain")
-        for picture in (kept / "plain").rglob("*.tif"):
-            tifffile.imwrite(picture, tifffile.imread(picture))
     if not (kept / "long.h5").is_file():
         time_s, rng = np.arange(SAMPLES) / RATE_HZ, np.random.default_rng(1)
         samples = np.sin(2.0 * np.pi * 106.25 * time_s) + 1e-3 * rng.standard_normal(SAMPLES)
@@ -105,17 +91,14 @@ def make_inputs(kept: Path) -> None:
 
 
 def spent(checkout: Path, case: Case) -> Spent:
-    """Run a command of a checkout and return what it took; its own message where it fails."""
-    place = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); " if case.one_core else ""
-    program = [sys.executable, "-c", f"{place}from fusion.cli import main; raise SystemExit(main())", *case.arguments]
+    """Run a command of a checkout and return its resources; exit with its status if it fails."""
+    program = [sys.executable, "-c", "from fusion.cli import main; raise SystemExit(main())", *case.arguments]
     with tempfile.TemporaryFile() as told:
-        started = time.perf_counter()
         process = subprocess.Popen(program, cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)}, stdout=told)
         _, status, used = os.wait4(process.pid, 0)
-        wall_s = time.perf_counter() - started
     if status:
         raise SystemExit(f"shakercal {' '.join(case.arguments)}: ended with status {status >> 8}")
-    return Spent(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    return Spent(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 
 
 def row(case: Case, checkouts: list[Path], repeats: int) -> str:
@@ -126,10 +109,10 @@ def row(case: Case, checkouts: list[Path], repeats: int) -> str:
             found = spent(checkout, case)
             if number > 0:  # the first one compiles
                 all_of_it.append(found)
-    wall, cpu = ([min(getattr(one, name) for one in each) for each in taken] for name in ("wall_s", "cpu_s"))
-    before = f" {wall[1]:.2f} ({wall[1] / wall[0]:.2f}×) | {cpu[1]:.2f} ({cpu[1] / cpu[0]:.2f}×) |" if wall[1:] else ""
+    cpu_s = [min(one.cpu_s for one in each) for each in taken]
+    before = f" {cpu_s[1]:.1f} ({cpu_s[1] / cpu_s[0]:.2f}×) |" if cpu_s[1:] else ""
     peak = max(one.peak_mb for one in taken[0])
-    return f"| {case.name} | {case.asked} | {wall[0]:.2f} | {cpu[0]:.2f} | {peak:.0f} |{before}"
+    return f"| {case.name} | {cpu_s[0]:.1f} | {peak:.0f} |{before}"
 
 
 def main() -> None:
@@ -143,11 +126,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         kept = Path(scratch) if options.keep is None else options.keep.resolve()
         make_inputs(kept)
-        rows = [row(case, checkouts, options.repeats) for case in cases(kept, Path(scratch) / "results")]
-    before = " wall s before | CPU s before |" if options.before else ""
-    table = markdown_table(f"| command | asked | wall s | CPU s | peak MB |{before}", rows)
+        rows = []
+        for case in cases(kept, Path(scratch) / "results"):
+            rows.append(row(case, checkouts, options.repeats))
+            print(rows[-1], flush=True)
+    before = " CPU time before / s |" if options.before else ""
+    table = markdown_table(f"| command | CPU time / s | peak memory / MB |{before}", rows)
     print(table)
-    if options.docs:
+    if options.docs and not options.before:
         write_marked(options.docs / "performance.md", {"commands": table})
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/coverage.py [--part phasors tracks rendered matrix]
 
-The tables of docs/uncertainty.md. All parts take about an hour on one core.
+The tables of docs/uncertainty-tables.md. All parts take about an hour on one core.
 """
 
 from __future__ import annotations

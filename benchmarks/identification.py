@@ -4,7 +4,7 @@
 
 Truth is written out here in closed form, independent of the models that are fitted. Drawn in every trial: the noise of
 every line, what the load masses are off by, scale and delay of every accelerometer, the clock; of the pitching load the
-centre of mass and the moment of inertia too. Prints the tables of docs/performance.md.
+centre of mass and the moment of inertia too. Prints the rows that docs/performance.md summarises.
 """
 
 from __future__ import annotations

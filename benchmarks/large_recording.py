@@ -99,7 +99,7 @@ def main() -> None:
 
 def print_growth(folder: Path, frames: int) -> None:
     """Print what series of several lengths take of memory, disk and time, in a process each."""
-    print("| frames of a pair | pictures / GB | what | peak memory / GB | disk / GB | CPU time of a frame / ms |")
+    print("| frames of a pair | images / GB | step | peak memory / GB | disk / GB | CPU time of a frame / ms |")
     print("|---|---|---|---|---|---|")
     for repeated in (0, 1, 4, 10):
         with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
@@ -110,7 +110,7 @@ def growth(folder: Path, frames: int, repeated: int) -> str:
     """Return a row: blocks of some frames followed and kept, or the frames of all blocks, repeated, evaluated."""
     (opened,) = prepare_set_ups(load_manifest(next(SAMPLE.glob("*/recording.toml"))))  # for its channels and lines
     images, scene = large_pair(folder, opened.images[0], frames)
-    kept, (name, own) = Checkpoint(folder / "results", lambda: "growth"), ("followed", len(scene.blocks))
+    kept, (name, own) = Checkpoint(folder / "results", lambda: "growth"), ("tracked", len(scene.blocks))
     starts = range(scene.blocks[0].start, 1 + max(1, repeated) * own * BLOCK_FRAMES, BLOCK_FRAMES)
     scene = replace(scene, blocks=tuple(range(start, start + BLOCK_FRAMES) for start in starts))
     followed, begun = TrackedBlocks(images, scene, "cpu", kept), time.process_time()

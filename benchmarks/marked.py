@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 
@@ -21,3 +21,13 @@ def write_marked(page: Path, parts: Mapping[str, str]) -> None:
 def markdown_table(head: str, rows: list[str]) -> str:
     """Return a table of its head and rows, each `| a | b |`."""
     return "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rows])
+
+
+def short_table(
+    head: str, rows: list[str], columns: Sequence[int], keep: Callable[[list[str]], bool] = lambda cells: True
+) -> str:
+    """Return the table that a page shows: some columns of the rows whose cells are kept."""
+    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in (head, *rows)]
+    chosen = [cells[0], *filter(keep, cells[1:])]
+    first, *others = ["| " + " | ".join(line[column] for column in columns) + " |" for line in chosen]
+    return markdown_table(first, others)

@@ -1,6 +1,6 @@
 """Whether the program asks back where a manifest has a mistake that a laboratory plausibly makes.
 
-    python benchmarks/mistakes.py [--blind] [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
+    python benchmarks/mistakes.py [--blind] [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions-tables.md]
 
 Each mistake is put into the manifests of the demo and of a light uniaxial recording of the simulator, which are right
 otherwise; `check` and `run` see them as a user's. What either says that it does not say of the right manifests counts
@@ -40,7 +40,7 @@ from fusion.simulate.world import Draws, make_world
 Text = dict[str, Any]
 DEMO = Path(__file__).resolve().parent.parent / "sample_images" / "demo"
 RIG_NAMES = ("demo", "uniaxial")
-HEAD = "| mistake | demo | uniaxial | what is said |\n|---|---|---|---|"
+HEAD = "| mistake | demo | uniaxial | notice |\n|---|---|---|---|"
 NAMED = ("disagree", "rejected", "contradict")
 """Words of a warning that names instruments or channels but not the cause: the mistake is noticed, no more."""
 SEED = 11
@@ -446,7 +446,7 @@ def said(campaign: Path) -> Told:
         report = check(manifest)
         told = [*report.remarks, *report.problems]
         found = evaluate_recording(manifest, Settings())
-        told += [f"{n.where}: {n.explanation}" for n in found.notices]
+        told += [f"{n.where}: {n.explanation} [{n.code}]" for n in found.notices]
     except (InputError, ComputeError) as error:
         return Told((str(error),))
     own, place = found.sensitivity, (2, 2)
@@ -473,6 +473,13 @@ def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[
         told = said(folder)
         new = [text.replace(f"{folder}/", "") for text in told.texts if opening(text) not in known]
     return [text for text in new if any(word in text for word in mistake.words)], new, told
+
+
+def notice_of(text: str) -> str:
+    """Return code and place of a message."""
+    code = re.search(r"SC-\d+", text)
+    place = re.match(r"(?:SC-\d+ )?(?:[\w./-]+\.toml: )?([\w./-]+):", text)
+    return f"{code.group() if code else ''} {f'`{place.group(1)}`' if place else ''}".strip()
 
 
 def silent(told: Told, usual: Told) -> str:
@@ -505,12 +512,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                     continue
                 found, new, told = asked(mistake, rigs[rig], usual[rig].texts)
                 named = any(word in text for text in new for word in NAMED)
-                cells.append("asked" if found else "noticed" if named else silent(told, usual[rig]))
-                quoted = quoted or next(iter(found), "")
+                cells.append("named" if found else "noticed" if named else silent(told, usual[rig]))
+                quoted = quoted or next((text for text in found if "SC-" in text), next(iter(found), ""))
                 if not found:
                     print(f"{mistake.name} ({rig}): " + " ## ".join(text[:230] for text in new), file=sys.stderr)
-            quoted = re.sub(r"\s+", " ", quoted).replace("|", "\\|")
-            lines.append(f"| {mistake.name} | {' | '.join(cells)} | {quoted[:200]} |")
+            lines.append(f"| {mistake.name} | {' | '.join(cells)} | {notice_of(quoted)} |")
             print(lines[-1], flush=True)
     if options.write is not None:
         write_marked(options.write, {"blind mistakes" if options.blind else "mistakes": "\n".join(lines)})

@@ -44,7 +44,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[str], str]]]] =
     "all at once": ("laboratory", ("camera-shake=0.002", "locked-clocks=0.6"), {}),
 }
 """Preset, what is broken of it, and how its rig.toml is changed, if not where its lasers look, by the table of them."""
-AS_IT_IS = "at 0.76 of the radius, as the preset has them"
+AS_IT_IS = "at 0.76 of the radius (preset)"
 SPOTS = {AS_IT_IS: (0.0, 1), "at 0.50": (0.50, 10), "at 0.31": (0.31, 1)}
 """Where the lasers look, over the radius of the plate, 0 for the preset's own place; in every which draw."""
 
@@ -169,12 +169,12 @@ def main() -> None:
     else:
         mark = options.case
         width = round(640 * options.scale)
-        told = f"{options.draws} recordings of {options.frames} frames, pictures of {width} px width."
+        told = f"{options.draws} recordings of {options.frames} frames, images of {width} px width."
         with tempfile.TemporaryDirectory() as folder:
             size, seeds = (options.frames, options.scale), range(1, options.draws + 1)
             found = [draw(Path(folder) / str(seed), options.case, seed, *size) for seed in seeds]
-    what = "load" if CASES[options.case][2] else "lasers look"
-    head = f"| {what} | error / %, mean ± scatter | largest / % | U / % | within U | contradicted: no result |"
+    what = "load" if CASES[options.case][2] else "lasers"
+    head = f"| {what} | error / %, mean ± scatter | largest / % | U / % | within U | contradictory: no result |"
     table = f"{told}\n\n{markdown_table(head, rows(found))}"
     print(table)
     if options.docs is not None:

@@ -50,8 +50,8 @@ SIZE_PX = np.array([1280, 1024])
 NOISE_PX = 0.03
 GRID = (7, 5)  # points of the image at which the uncertainty of projection is compared
 HEAD = (
-    "| session | equal: values, largest / u | u, ratio | projection, ratio | stated: u of fx, ratio | of k1 "
-    "| of the others | true errors over mrcal's u, rms | over the stated u |\n|---|---|---|---|---|---|---|---|---|"
+    "| session | equal assumptions: difference of values / u | ratio of u | stated u of fx over mrcal's "
+    "| rms of errors over mrcal's u | over the stated u |\n|---|---|---|---|---|---|"
 )
 
 MRCAL = """
@@ -107,18 +107,18 @@ class Compared:
         """Return the row of a table, of all sessions `first` and this one."""
         every = [*first, self]
         off = max(float(np.abs((each.values[0] - each.values[1]) / each.u[1]).max()) for each in every)
-        ratio = np.concatenate([each.u[0] / each.u[1] for each in every])
-        traces = [[np.trace(part, axis1=1, axis2=2) for part in each.projected] for each in every]
-        image = np.concatenate([np.sqrt(own / theirs) for own, theirs in traces])
-        stated = np.array([each.stated_u / each.u[1] for each in every])
-        focal, k1 = (np.array([one.endswith(ends) for one in self.names]) for ends in (("fx", "fy"), "k1"))
-        cells = [_median(stated[:, chosen]) for chosen in (focal, k1, ~(focal | k1))]
+        ratios = [(each.u[0] / each.u[1]).ravel() for each in every]
+        for each in every:
+            own, theirs = (np.trace(part, axis1=1, axis2=2) for part in each.projected)
+            ratios.append(np.sqrt(own / theirs).ravel())
+        focal = np.array([one.endswith(("fx", "fy")) for one in self.names])
+        cells = [_median(np.array([each.stated_u / each.u[1] for each in every])[:, focal])]
         for number in (0, 1):
             over = [
                 each.errors[number] / (each.u[1], each.stated_u)[number] for each in every if each.errors is not None
             ]
             cells.append(f"{np.sqrt(np.mean(np.square(over))):.2f}" if over else "")
-        return f"| {name} | {off:.3f} | {_range(ratio)} | {_range(image)} | {' | '.join(cells)} |"
+        return f"| {name} | {off:.3f} | {_range(np.concatenate(ratios))} | {' | '.join(cells)} |"
 
 
 def _range(ratio: FloatArray) -> str:

@@ -2,8 +2,8 @@
 
 Usage: python benchmarks/nitsche2018.py [--seeds 1 2 3 4 5] [--keep FOLDER]
 
-Prints the table of docs/performance.md, one row per seed. Rendering one seed takes about two minutes and evaluating it
-about one on two cores; with --keep, recordings that are already there are used again.
+Prints one row per seed, which docs/performance.md summarises. Rendering one seed takes about two minutes and evaluating
+it about one on two cores; with --keep, recordings that are already there are used again.
 """
 
 from __future__ import annotations

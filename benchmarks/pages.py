@@ -73,7 +73,7 @@ if __name__ == "__main__":
         browser = started.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])
         rows = measure(Path(name), browser)
         browser.close()
-    table = markdown_table("| page | MB | CPU s | answers after s |", rows)
+    table = markdown_table("| page | size / MB | CPU time / s | usable after / s |", rows)
     print(table)
     if options.docs:
         write_marked(options.docs / "performance.md", {"pages": table})

@@ -18,7 +18,7 @@ import papers_rows_load as loads
 import papers_rows_wrist as wrist
 import published_paper as paper
 from marked import write_marked
-from papers_rows import Row, motion, oscillator, resonance, rotation, sensitivity, table_2
+from papers_rows import HOLDS, Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
 from shaker.identification.oscillator import PeakReadings
 
@@ -44,12 +44,10 @@ def spacing_rows() -> list[tuple[str, ...]]:
         errors = (
             2 * off(lambda r: r.maximum_bin.frequency_hz, f0),
             2 * off(lambda r: r.maximum.frequency_hz, f0),
-            2 * off(lambda r: r.circle.frequency_hz, f0),
             off(lambda r: r.half_amplitude.damping_ratio, zeta),
             off(lambda r: r.half_power.damping_ratio, zeta),
-            off(lambda r: r.circle.damping_ratio, zeta),
         )
-        rows.append((f"{name}, {load} kg", f"{f0} Hz", f"{0.5 / zeta:.0f}", f"{lines:.1f}", *map(_percent, errors)))
+        rows.append((f"{name}, {load} kg", f"{0.5 / zeta:.0f}", f"{lines:.1f}", *map(_percent, errors)))
     return rows
 
 
@@ -74,15 +72,27 @@ def tables() -> dict[str, list[str]]:
         "load filter": loads.compensation,
     }
     every = {**parts, "sensitivity": sensitivity, **of_wrist, **of_load}
-    found = {name: _table(head, rows()) for name, rows in every.items()}
-    fine = ("resonance", "f₀", "Q", "lines in Δf", "k: line of maximum", "k: maximum", "k: circle")
-    return {**found, "spacing": _table((*fine, "b: half amplitude", "b: half power", "b: circle"), spacing_rows())}
+    found = {name: _short_table(head, rows()) for name, rows in every.items()}
+    fine = ("resonance", "Q", "lines in Δf", "k: line of maximum", "k: maximum", "b: half amplitude", "b: half power")
+    return {**found, "spacing": _table(fine, spacing_rows())}
+
+
+def _short_table(head: tuple[str, ...], rows: list[Row]) -> list[str]:
+    """Return a table of the rows that are not simply reproduced, and these in one line below it."""
+    lines = _table(head, [row for row in rows if row.verdict != HOLDS])
+    reproduced = [f"{row.where}: {row.program}" for row in rows if row.verdict == HOLDS]
+    return [*lines, "", f"Reproduced: {_minus('; '.join(reproduced))}."] if reproduced else lines
+
+
+def _minus(text: str) -> str:
+    """Return a text with typographic minus signs before numbers."""
+    return sub(r"(?<![\w.)⁻])-(?=\d)", "\N{MINUS SIGN}", text)
 
 
 def _table(head: tuple[str, ...], rows: list[Row] | list[tuple[str, ...]]) -> list[str]:
     """Return a table, with typographic minus signs before numbers."""
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head), *(f"| {' | '.join(row)} |" for row in rows)]
-    return [sub(r"(?<![\w.)⁻])-(?=\d)", "\N{MINUS SIGN}", line) if "---" not in line else line for line in lines]
+    return [_minus(line) if "---" not in line else line for line in lines]
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ as a session of 20 views leaves it, and subsets of the face whose places nobody 
 the preset `matrix` move; pictures, poses of every frame, places of the points and calibration in one adjustment, by
 the derivatives of the bundle adjustment. *Gravity*: force outputs and cameras that see the body at every angle of the
 head, with cross-talk, the direction of gravity and that of the axis open. *Needed*: U across by how well the pose is
-known. `--write` puts the tables into docs/campaigns.md. A minute on one core.
+known: `--write` puts this table into docs/campaigns.md. A minute on one core.
 """
 
 from __future__ import annotations
@@ -231,7 +231,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     for text in tables.values():
         print(text, flush=True)
     if options.write:
-        write_marked(PAGE, tables)
+        write_marked(PAGE, {"needed": tables["needed"]})
 
 
 if __name__ == "__main__":

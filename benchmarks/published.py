@@ -171,7 +171,9 @@ def agreement(twin: Twin) -> str:
     for name, found in (("cameras", camera), ("all instruments fused", fused)):
         off = told(100 * (found.magnitude / truth - 1), 100 * found.expanded_magnitude / truth, "%")
         rows.append((f"{name}, to the truth", "", off))
-    rows += [(f"left of z by {name}", was, f"{1e6 * residual(twin.top, lines):.3f} µm") for name, was, lines in SINES]
+    rows += [
+        (f"residual of z after {name}", was, f"{1e6 * residual(twin.top, lines):.3f} µm") for name, was, lines in SINES
+    ]
     return table(("quantity", "published", "program, with U"), rows)
 
 

@@ -243,7 +243,7 @@ def chirp_measured(folder: Path) -> Iterator[Row]:
         yield Row(title, here)
         differ = [notice.text for notice in found.notices if notice.code == REPEATS_DIFFER.code]
         if differ:
-            yield Row(f"{len(used)} sweeps: what is said of the repeats", " ".join(differ))
+            yield Row(f"{len(used)} sweeps: notice about the repeats", " ".join(differ))
     single = [transfer_from_rest([record], band_hz=band_hz) for record in records]
     whole = {"fs": rate_hz, "window": "boxcar", "nperseg": len(records[0].reference), "detrend": "constant"}
     cross = np.sum([csd(record.reference, record.responses[:, 0], **whole)[1] for record in records], axis=0)
@@ -449,7 +449,7 @@ SETS: tuple[Callable[[Path], Iterator[Row]], ...] = (
 
 def markdown(rows: Iterator[Row]) -> str:
     """Return rows as a table."""
-    lines = ["| figure | this program | published or peer | bar |", "|---|---|---|---|"]
+    lines = ["| quantity | this program | published or other | limit |", "|---|---|---|---|"]
     return "\n".join([*lines, *(f"| {row.figure} | {row.here} | {row.others} | {row.bar} |" for row in rows)])
 
 

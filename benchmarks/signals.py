@@ -1,4 +1,4 @@
-"""Clocks, sines and spectra: every figure of the signal side that docs/performance.md states.
+"""Clocks, sines and spectra: the figures that docs/performance.md summarises.
 
 Usage: python benchmarks/signals.py [PART ...]      PART: clock sine noise transfer plan lines readers (default: all)
 

@@ -5,22 +5,21 @@ Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] 
        python benchmarks/tracking.py --rounding docs/tracking.md
 
 Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at half
-height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
-in 12 bit. 8649 subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an
-environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints both tables, with --docs
-also into performance.md of that folder; with all programs a quarter of an hour.
+height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, 8 bit. 8649
+subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an environment of
+their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints both tables, with --docs also into
+performance.md of that folder; with all programs a quarter of an hour.
 
-- user CPU: per subset and tracked frame, reading included, imports and compilation excluded.
+- CPU time: of the user, per subset and tracked frame, reading included, imports and compilation excluded.
 - bound: standard deviation that white noise leaves to any unbiased program, σ = σ_n/√Σ(∂f/∂x)² with the exact gradient
   of the subset's pixels and σ_n² = 1 + 1/12 (rounding) at 8 bit; a pair of frames has the noise of both, √2·σ.
 - pair: scatter of the errors against the known motion about their mean over the frame, over √2·σ, pooled.
 - series: scatter over time of each subset's errors about their own mean, over σ: the reference's noise is constant.
 - bias: mean error of a frame over all subsets, largest of all frames and of x and y. Noise alone moves the mean of one
   frame by 0.1 mpx (one σ), so recordings with noise of their own are averaged first.
-- bias in the pixel: mean error of all positions in one tenth of a pixel, largest of the ten; rotation spreads a frame
-  over several tenths, so that the mean over it hides some of what interpolation does.
 
-The second table shows what interpolation leaves without noise, stored in 16 bit, for dots of several sizes.
+The second table shows the error of interpolation without noise, stored in 16 bit, for dots of several sizes: mean error
+of all positions in one tenth of a pixel, largest of the ten, since a rotation spreads a frame over several tenths.
 
 --rounding writes the table of what float32 grey values do instead: pairs of frames shifted by tenths of a pixel,
 registered by the compiled engine and by the batched one in float64 (references are float32 in both). bias: mean error
@@ -40,7 +39,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from marked import markdown_table, write_marked
+from marked import markdown_table, short_table, write_marked
 from numpy.typing import NDArray
 from speckle_plane import Motion, Plane, gradients, render, speckled_plane
 from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
@@ -53,12 +52,11 @@ from photogram.subsets.texture import subset_mean
 
 FloatArray = NDArray[np.float64]
 SIZE_PX, FRAMES, MARGIN_PX = 1024, 21, 24.0
-DOT_PX, OTHER_DOTS_PX = 4.5, (3.8, 3.2)
+DOT_PX, DOTS_PX = 4.5, (4.5, 3.8, 3.2)
 GRID = Grid(first=52, step=10, count=93, radius=15)
 PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
 NOISE_GREY = 1.0
-NOISY_HEAD = "| program | user CPU, µs | points/s | std/bound, pair | series | bias, mpx | in the pixel, mpx | lost |"
-CLEAN_HEAD = "| program, without noise | dots, px | bias, mpx | in the pixel, mpx | std, mpx |"
+NOISY_HEAD = "| program | CPU time per subset / µs | scatter over bound, pair | series | bias / mpx |"
 ADAPTERS = Path(__file__).with_name("tracking_programs.py")
 OWN = "shakercal"
 SHIFTS_PX, STEP = np.stack([np.arange(10) / 10, np.roll(np.arange(10) / 10, 3)], axis=1), 2 * GRID.radius + 1
@@ -108,7 +106,8 @@ def main() -> None:
     if options.rounding:
         head = "| noise | degree | bias in mpx, float64 | float32 | a subset, mpx | std/bound, float64 | float32 |"
         rows = rounding_rows(np.random.default_rng(3))
-        write_marked(options.rounding, {"rounding": markdown_table(head, rows)})
+        table = short_table(head, rows, range(7), lambda cells: cells[1] == "7")
+        write_marked(options.rounding, {"rounding": table})
         return
     own = [name for name in options.programs if name.startswith(OWN)]
     pythons = {name: Path(sys.executable) if name in own else options.peer_python for name in options.programs}
@@ -117,16 +116,16 @@ def main() -> None:
         plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
         noisy = record(plane, Path(scratch) / "8bit", options.recordings, 255, NOISE_GREY, rng)
         rows = [told(noisy_row(name, noisy, pythons[name], options.threads)) for name in options.programs]
-        deep = record(plane, Path(scratch) / "12bit", options.recordings, 4095, NOISE_GREY * 4095 / 255, rng)
-        rows += [told(noisy_row(name, deep, pythons[name], options.threads)) for name in own]
-        exact = []
-        for dot_px in (DOT_PX, *OTHER_DOTS_PX):
+        exact = {name: [name] for name in own}
+        for dot_px in DOTS_PX:
             other = speckled_plane((SIZE_PX, SIZE_PX), dot_px, MARGIN_PX, rng)
             clean = record(other, Path(scratch) / f"{dot_px}px", 1, 65535, 0.0, rng)
-            exact += [told(clean_row(name, dot_px, clean, pythons[name], options.threads)) for name in own]
+            for name in own:
+                exact[name].append(told(clean_cell(name, clean, pythons[name], options.threads)))
+    head = row("bias without noise / mpx", *(f"dots of {dot_px} px" for dot_px in DOTS_PX))
     tables = {
         "tracking": markdown_table(NOISY_HEAD, list(filter(None, rows))),
-        "interpolation": markdown_table(CLEAN_HEAD, list(filter(None, exact))),
+        "interpolation": markdown_table(head, [row(*cells) for cells in exact.values()]),
     }
     print("\n\n".join(tables.values()))
     if options.docs:
@@ -202,24 +201,18 @@ def noisy_row(name: str, recording: Recording, python: Path, threads: int) -> st
     points = result.error[..., 0].size
     relative = result.error / bound(recording, result.centres)
     return row(
-        f"{name} ({result.version}), {recording.full_scale.bit_length()} bit",
+        f"{name} ({result.version})",
         f"{1e6 * result.user_s / points:.3g}",
-        f"{points / result.wall_s:.0f}",
         f"{pair_scatter(relative):.3f}",
         f"{series_scatter(relative):.3f}",
         f"{frame_bias(result.error) / MPX:.2f}",
-        f"{pixel_bias(result) / MPX:.2f}",
-        f"{np.isnan(relative[..., 0]).sum()}",
     )
 
 
-def clean_row(name: str, dot_px: float, recording: Recording, python: Path, threads: int) -> str:
-    """Return what one program makes of frames without noise, nothing where it is not installed."""
+def clean_cell(name: str, recording: Recording, python: Path, threads: int) -> str:
+    """Return the bias within a pixel of one program without noise, empty if it is not installed."""
     result = run_program(name, recording, python, threads)
-    if result is None:
-        return ""
-    biases = frame_bias(result.error), pixel_bias(result), float(np.nanstd(result.error))
-    return row(name, f"{dot_px}", *(f"{bias / MPX:.3f}" for bias in biases))
+    return "" if result is None else f"{pixel_bias(result) / MPX:.3f}"
 
 
 def rounding_rows(rng: np.random.Generator) -> list[str]:

@@ -1,6 +1,6 @@
 """What the program does where its assumptions are broken: noticed, covered, harmless, or silently wrong.
 
-    python benchmarks/violations.py [--draws 200] [--only NAME ...] [--write docs/assumptions.md]
+    python benchmarks/violations.py [--draws 200] [--only NAME ...] [--write docs/assumptions-tables.md]
 
 Each case is a recording of the simulator with some violations (`shakercal simulate --violate`), evaluated from its
 files as a user would; the same seed without them tells what they change. Truth is the sensor's own element at its
@@ -42,8 +42,8 @@ ComplexArray = NDArray[np.complex128]
 DRIVEN, RATE_HZ, JITTER_S = 2, 8000.0, 30e-9
 NOTICED, COVERED, HARMLESS = 0.95, 0.90, 0.10
 HEAD = (
-    "| violated | rig | draws | noticed | names | element covered | accelerations covered (worst of six) | shift / U "
-    "| U / needed | verdict |\n|---|---|---|---|---|---|---|---|---|---|"
+    "| violated | rig | noticed | element covered | accelerations covered (worst of six) | shift / U | U / needed "
+    "| verdict |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -288,7 +288,7 @@ class Row:
     names: tuple[str, ...]
     draws: int
     noticed: float
-    told: float
+    listed: float
     suspects: tuple[str, ...]
     refused: float
     element: float
@@ -309,7 +309,7 @@ class Row:
             return "noticed"
         if covered:
             return "harmless" if self.shift < HARMLESS else "covered"
-        return "told" if self.told >= NOTICED else "refused" if self.refused >= NOTICED else "**SILENT**"
+        return "listed" if self.listed >= NOTICED else "refused" if self.refused >= NOTICED else "**SILENT**"
 
     def cells(self) -> str:
         """Return the row as Markdown."""
@@ -317,9 +317,7 @@ class Row:
         cells = (
             violated or "nothing",
             self.rig,
-            f"{self.draws}",
             f"{self.noticed:.0%}" if self.names else "–",
-            ", ".join(self.suspects) or "–",
             f"{self.element:.0%}",
             f"{self.accelerations:.0%} ({self.worst:.0%})",
             f"{self.shift:.2f}" if self.names else "–",

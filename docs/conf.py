@@ -1,4 +1,4 @@
-"""How `make docs` makes the pages of this folder a site: order and look; commands and Python names from the program."""
+"""Site of the documents, as `make docs` builds it: theme, commands and Python names from the program."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ autodoc_default_options = {
 autodoc_preserve_defaults = True
 myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline"]
-html_theme, html_title = "furo", f"shakercal {release}"
+html_theme, html_title = "furo", f"shakercal {release}"  # in the header of every page
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
+html_show_search_summary = False  # would fetch the pages found, which browsers refuse for files
 html_extra_path = [str(GALLERY)] if GALLERY.is_dir() else []
 highlight_language = "none"
 nitpicky = True
@@ -53,8 +54,11 @@ nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # types of NumPy and of Pytho
 
 
 def commands() -> str:
-    """Return the page of all commands: what each says when it is asked for help."""
-    lines = ["# Commands", "", "What `shakercal COMMAND --help` tells; options of all commands stand at the end.", ""]
+    """Return the page of all commands with their help."""
+    purpose = (
+        "Help of every command, as `shakercal COMMAND --help` prints it. [Overview](../overview.md) sorts them by task."
+    )
+    lines = ["# Commands", "", purpose, ""]
     (all_of_them,) = (a for a in _parser()._actions if isinstance(a, _SubParsersAction))
     for name, parser in all_of_them.choices.items():
         parser.prog = f"shakercal {name}"
@@ -64,7 +68,7 @@ def commands() -> str:
 
 
 def links_outside(app: Sphinx, tree: nodes.document, name: str) -> None:
-    """Show what links lead out of this folder to, as files of the repository, without a link."""
+    """Show links to files outside of this folder as names of files of the repository."""
     from docutils import nodes
     from sphinx import addnodes
 
@@ -75,7 +79,7 @@ def links_outside(app: Sphinx, tree: nodes.document, name: str) -> None:
 
 
 def pages_of_thumbnails(app: Sphinx, tree: nodes.document) -> None:
-    """Have the images of the gallery open the pages that `make gallery` has made."""
+    """Link the images of the gallery to the pages of `make gallery`."""
     from docutils import nodes
 
     for image in list(tree.findall(nodes.image)):
@@ -88,7 +92,7 @@ def pages_of_thumbnails(app: Sphinx, tree: nodes.document) -> None:
 
 
 def plain_bars(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Have bars of docstrings be bars, as in |H|, not names of substitutions."""
+    """Escape bars of docstrings, as in |H|, which would be names of substitutions."""
     lines[:] = [line if "`" in line else line.replace("|", "\\|") for line in lines]
 
 
@@ -112,7 +116,7 @@ def prepare_notebooks(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Write what is generated, and have links that lead outside shown as names."""
+    """Write the generated page and connect the changes of pages."""
     path = Path(__file__).with_name("reference") / "commands.md"
     text = commands()
     if not path.exists() or path.read_text(encoding="utf-8") != text:

@@ -54,7 +54,7 @@ GALLERY = {
     "single": _made("single", *_RUN, "One camera and three laser points"),
     "bending": _made("bending", *_RUN, "A load mass that bends at 1020 Hz, with its mode"),
     "room": _made("room", *_RUN, "Cameras and lasers on a floor that shakes, with patches at rest"),
-    "laboratory": _made("laboratory", *_RUN, "A smaller rig, on a room that shakes a little"),
+    "laboratory": _made("laboratory", *_RUN, "A load mass that bends, with patches at rest next to it"),
     "nitsche2018": _made("nitsche2018", *_RUN, "The published set-up at 106.25 Hz"),
     "sweep": _made("sweep", *_RUN, "A curve over twelve frequencies: two mountings, two recordings each"),
     "matrix": _made("matrix", *_RUN, "The 6 × 6 matrix of sensitivities, with its cross-talk"),
@@ -91,6 +91,37 @@ GALLERY = {
     ),
 }
 
+SECTIONS = {
+    "One recording": ("demo", "single", "bending", "room", "laboratory", "nitsche2018"),
+    "Campaigns": ("sweep", "matrix", "compare"),
+    "Cameras": ("targets",),
+    "Models of the sensor": ("rotation", "orientations", "chirp", "masses", "pitching"),
+    "Releases and filters": ("steps", "loads", "compensate", "decouple", "elastomer"),
+}
+CONTENTS = {
+    "demo": "the sensitivity with U, the agreement of cameras and laser, the moving rig, and fields over the images",
+    "single": "the six components that one camera and three laser points determine together",
+    "bending": "the bending of the load mass as a deflection shape, and its effect on the sensitivity",
+    "room": "the motion of the floor, by patches at rest in the images, and the corrected result",
+    "laboratory": "the bending of the load mass, and the motion of the room by the patches at rest",
+    "nitsche2018": "the sensitivity at the frequency and amplitude of a published measurement",
+    "sweep": "magnitude and phase over frequency, and the scatter of repeats and mountings",
+    "matrix": "the main elements with U, the map of cross-talk, and the poses and scales of all recordings together",
+    "compare": "the degrees of equivalence with U, and the values that U does not cover",
+    "targets": "the parameters of the pair with U, the coverage of the images, and the residuals",
+    "rotation": "internal mass, load mass and centres of mass, with readings over the angle and their residuals",
+    "orientations": "the same masses from poses in space, and the offsets of all channels",
+    "chirp": "magnitude and phase with the fitted oscillator, U of every line, and the budget of the resonance",
+    "masses": "stiffness, damping and internal mass from two load masses, with curves and residuals",
+    "pitching": "the parameters of translation and rotation that are coupled by the height of the load",
+    "steps": "modes, bands and settling times of every component, for three kinds of rope",
+    "loads": "the resonance over the load mass, and the load limit",
+    "compensate": "the response before and after the filter, the noise, and the usable band",
+    "decouple": "the dynamic cross-talk before and after the filter",
+    "elastomer": "natural frequencies and mode shapes by several models, next to measured values",
+}
+"""Contents of each page, as the end of a sentence."""
+
 
 class Laboratory:
     """A folder where commands of entries run, each once.
@@ -109,13 +140,17 @@ class Laboratory:
         """Return the path of the page of an entry."""
         (self.place / entry.page).parent.mkdir(parents=True, exist_ok=True)
         for command in entry.commands:
-            if command not in self._done:
-                with chdir(self.place):
-                    status = main([*command.split(), "-q", "--force"])
-                if status:
-                    sys.exit(f"docs/gallery.py: {command}: expected exit status 0, found {status}")
-                self._done.add(command)
+            self.run(command)
         return self.place / entry.page
+
+    def run(self, command: str) -> None:
+        """Run a command in the folder, unless it has been run."""
+        if command not in self._done:
+            with chdir(self.place):
+                status = main([*command.split(), "-q", "--force"])
+            if status:
+                sys.exit(f"docs/gallery.py: {command}: expected exit status 0, found {status}")
+            self._done.add(command)
 
 
 @contextmanager
@@ -174,11 +209,15 @@ def _save_animated(images: list[Image.Image]) -> None:
 
 
 def listing() -> str:
-    """Return the thumbnails of all pages with their captions and commands."""
+    """Return the thumbnails of all pages, by section, with their captions, contents and commands."""
     parts = []
-    for name, entry in GALLERY.items():
-        commands = "\n".join(f"shakercal {command}" for command in entry.commands)
-        parts.append(f"## {entry.caption}\n\n![{entry.caption}](images/gallery/{name}.webp)\n\n```\n{commands}\n```")
+    for section, names in SECTIONS.items():
+        parts.append(f"## {section}")
+        for name in names:
+            entry = GALLERY[name]
+            commands = "\n".join(f"shakercal {command}" for command in entry.commands)
+            image = f"![First screen of this page.](images/gallery/{name}.webp)"
+            parts.append(f"### {entry.caption}\n\nThe page shows {CONTENTS[name]}.\n\n{image}\n\n```\n{commands}\n```")
     return "\n\n".join(parts)
 
 

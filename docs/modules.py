@@ -1,27 +1,30 @@
-"""Tables of modules in architecture.md, from the first lines of their docstrings: `python docs/modules.py`."""
+"""Tables of packages in architecture.md, from the first lines of docstrings: `python docs/modules.py`.
+
+With folders it prints their modules instead: `python docs/modules.py fusion/recording photogram/subsets`.
+"""
 
 from __future__ import annotations
 
 import ast
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 PACKAGES = ("shakercal", "photogram", "shaker", "fusion")
-HEAD = "| module | content |\n|---|---|\n"
+HEAD = "| folder or module | content |\n|---|---|\n"
 
 
 def module_table(package: str) -> str:
-    """Return the table of a package: folders in bold, modules with the first line of their docstring."""
-    rows = []
-    for path in sorted((ROOT / package).rglob("*.py")):
-        name = path.relative_to(ROOT / package).with_suffix("").as_posix()
-        if name.endswith("_notices") or name.startswith("__"):
-            continue
-        folder = name.removesuffix("/__init__")
-        first = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0].rstrip(".")
-        rows.append(f"| **`{folder}/`** | {first} |" if folder != name else f"| `{name}` | {first} |")
+    """Return the table of a package: its folders in bold, and the modules outside of them."""
+    top, rows = ROOT / package, []
+    for path in _modules(top):
+        name = path.relative_to(top).with_suffix("").as_posix()
+        if path.name == "__init__.py":
+            rows.append(f"| **`{name.removesuffix('/__init__')}/`** | {_first_line(path)} |")
+        elif path.parent == top:
+            rows.append(f"| `{name}` | {_first_line(path)} |")
     return HEAD + "\n".join(rows)
 
 
@@ -30,8 +33,25 @@ def module_tables() -> dict[str, str]:
     return {f"modules of {package}": module_table(package) for package in PACKAGES}
 
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    from marked import write_marked
+def _modules(top: Path) -> Iterator[Path]:
+    """Yield the modules of a folder, without notices and entry points."""
+    for path in sorted(top.rglob("*.py")):
+        folder = path.name == "__init__.py" and path.parent != top
+        if folder or not (path.stem.endswith("_notices") or path.name.startswith("__")):
+            yield path
 
-    write_marked(DOCS / "architecture.md", module_tables())
+
+def _first_line(path: Path) -> str:
+    """Return the first line of a module's docstring."""
+    return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0].rstrip(".")
+
+
+if __name__ == "__main__":
+    if folders := sys.argv[1:]:
+        for path in (path for folder in folders for path in _modules(ROOT / folder)):
+            print(f"{path.relative_to(ROOT).as_posix():60s} {_first_line(path)}")
+    else:
+        sys.path.insert(0, str(ROOT / "benchmarks"))
+        from marked import write_marked
+
+        write_marked(DOCS / "architecture.md", module_tables())

@@ -6,14 +6,24 @@ that of the challenge, which needs its images, from benchmarks/challenge.py; dra
 
 from __future__ import annotations
 
+import io
+import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
-from gallery import GALLERY, browser_and_laboratory
+from gallery import GALLERY, Laboratory, browser_and_laboratory
+from PIL import Image
+from walkthrough import follow
 
 from fusion.cli import main
+from fusion.planning.view.server import Server
+from fusion.planning.view.view_requests import api_actions, api_handlers
+from fusion.planning.view.view_sources import find_sources
+from fusion.planning.view.viewed_recording import ViewSession
+from fusion.sensor.certificate.certificate_form import METHOD, NEW_FORM
 
 IMAGES = Path(__file__).resolve().parent / "images"
 WIDTH = 1200
@@ -27,18 +37,50 @@ PICTURES = {
     "identify": ("masses", "#figure-fit-z-0", "#figure-fit-z-0"),
     "elastomer": ("elastomer", "#figure-elastomer-shapes-frame", "#figure-elastomer-shapes-frame"),
     "cameras": ("targets", "figure", "figure"),
+    "crosstalk": ("matrix", "#figure-crosstalk", "#figure-crosstalk"),
+    "recordings": ("sweep", "#figure-recordings-Fz-Fz", "#figure-recordings-Fz-Fz"),
+    "normalised": ("compare", "#figure-normalised", "#figure-normalised"),
+    "rotation": ("rotation", "#figure-rotation-with-load-forces", "#figure-rotation-with-load-forces"),
+    "transfer": ("chirp", "#figure-transfer-top-base", "#figure-transfer-top-base"),
 }
 """Entry of the gallery, and the first elements that a picture begins and ends with."""
 EXAMPLES = ("motion_from_images", "compensated_release")
+CERTIFIED = {
+    **{"number": "2026-0815", "issued": "2026-11-23", "received": "2026-11-15", "operator": "A. Operator"},
+    **{"authoriser": "B. Leader", "city": "Example city", "country": "DE", "condition": "without visible damage"},
+    **{"supply": "5 V, 4.8 kHz", "torque": "10 N·m", "axes": "z out of the flange of the load"},
+    "description": "adapter plate, 8 screws M6",
+}
+"""Answers to the draft of a certificate; all others are "Example" with the name of the key."""
+A4_PX = (794, 1123)
+VIEWER_PX = 860
+SPECIMEN = "certificate demo/Fz-0080 --results out/demo/Fz-0080 --form form.toml --specimen -o out/certificate"
+TUTORIAL = {
+    "tutorial-rig": "rig.html",
+    "tutorial-recording": "lab/results/Fz_063Hz_1/report.html",
+    "tutorial-campaign": "lab/results/report.html",
+    "tutorial-certificate": "lab/certificate/certificate.html",
+}
+"""First screens of the pages that docs/tutorials/own-laboratory.md writes."""
+FIRST_SCREEN, SHOWN_WIDTH = {"width": WIDTH, "height": 830}, 900
 PLAN = "plan --frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211 --force --figure"
 
 
 def make_pictures(chosen: list[str]) -> None:
     """Make the pictures of some names, or all."""
     with browser_and_laboratory() as (browser, laboratory):
+        if not chosen or set(chosen) & set(TUTORIAL):
+            folder = laboratory.place / "tutorial"
+            folder.mkdir()
+            for step in follow(IMAGES.parent / "tutorials" / "own-laboratory.md", folder):
+                print(step.command)
+            keep_first_screens(browser, folder)
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
             _keep(browser, laboratory.page(GALLERY[entry]), IMAGES / f"{picture}.png", *ends)
+        for name, picture in (("certificate", _certificate), ("viewer", _viewer), ("light", _light)):
+            if not chosen or name in chosen:
+                picture(browser, laboratory)
     if not chosen or "plan" in chosen:
         main([*PLAN.split(), str(IMAGES / "plan.png"), "-q"])
     for example in EXAMPLES:
@@ -46,6 +88,18 @@ def make_pictures(chosen: list[str]) -> None:
             script = IMAGES.parents[1] / "examples" / f"{example}.py"
             words = [sys.executable, str(script), str(IMAGES / f"{example}.png")]
             subprocess.run(words, cwd=IMAGES.parents[1], check=True)
+
+
+def keep_first_screens(browser: Any, folder: Path) -> None:
+    """Write the first screens of the tutorial's pages."""
+    for name, path in TUTORIAL.items():
+        page = browser.new_page(viewport=FIRST_SCREEN)
+        page.goto((folder / path).as_uri())
+        page.wait_for_timeout(1500)
+        screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        page.close()
+        height = round(screen.height * SHOWN_WIDTH / screen.width)
+        screen.resize((SHOWN_WIDTH, height), Image.Resampling.LANCZOS).save(IMAGES / f"{name}.webp", quality=80)
 
 
 def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> None:
@@ -60,8 +114,72 @@ def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> Non
     page.evaluate("scrollTo(0, 0)")
     begin, end = (page.locator(f"main >> {part}").first.bounding_box() for part in (first, last))
     box = {"x": begin["x"] - 12, "y": begin["y"] - 12, "width": begin["width"] + 24}
-    page.screenshot(path=picture, full_page=True, clip={**box, "height": end["y"] + end["height"] - begin["y"] + 24})
+    clip = {**box, "height": end["y"] + end["height"] - begin["y"] + 24}
+    _write(page.screenshot(full_page=True, clip=clip), picture)
     page.close()
+
+
+def _write(png: bytes, picture: Path) -> None:
+    """Write an image with 128 colours."""
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    image.quantize(128, dither=Image.Dither.NONE).save(picture, optimize=True)
+
+
+def _certificate(browser: Any, laboratory: Laboratory) -> None:
+    """Write the first sheet of the certificate of the demo recording, a specimen."""
+    laboratory.page(GALLERY["demo"])
+    form, *_ = NEW_FORM.partition("[laboratory.cmc]")
+    form += "[customer]" + NEW_FORM.partition("[customer]")[2]
+    form = re.sub(
+        r'^(\w+) = ""(?!")',
+        lambda found: f'{found[1]} = "{CERTIFIED.get(found[1], "Example " + found[1].replace("_", " "))}"',
+        form,
+        flags=re.MULTILINE,
+    )
+    for key, day in (("begun", "2026-11-19"), ("ended", "2026-11-20")):
+        form = form.replace(f'# {key} = ""', f'{key} = "{day}"')
+    form = re.sub(r"^# (?=\[conditions|temperature|humidity)", "", form, flags=re.MULTILINE)
+    (laboratory.place / "form.toml").write_text(form.replace("METHOD", METHOD), encoding="utf-8")
+    laboratory.run(SPECIMEN)
+    page = browser.new_page(viewport=dict(zip(("width", "height"), A4_PX, strict=True)))
+    page.goto((laboratory.place / "out" / "certificate" / "certificate.html").as_uri())
+    page.wait_for_timeout(500)
+    _write(page.screenshot(), IMAGES / "certificate.png")
+    page.close()
+
+
+def _light(browser: Any, laboratory: Laboratory) -> None:
+    """Write the page of `look` for the demo recording with ten times the scale of its laser."""
+    laboratory.page(GALLERY["demo"])
+    manifest = laboratory.place / "demo" / "Fz-0080" / "recording.toml"
+    stated = manifest.read_text(encoding="utf-8")
+    manifest.write_text(re.sub(r"^scale = 0.1$", "scale = 1.0", stated, flags=re.MULTILINE), encoding="utf-8")
+    page_file = laboratory.place / "light.html"
+    main(["look", str(manifest.parent), "--page", str(page_file), "-q"])
+    manifest.write_text(stated, encoding="utf-8")
+    page = browser.new_page(viewport={"width": 1000, "height": 560})
+    page.goto(page_file.as_uri())
+    page.wait_for_timeout(500)
+    _write(page.screenshot(), IMAGES / "light.png")
+    page.close()
+
+
+def _viewer(browser: Any, laboratory: Laboratory) -> None:
+    """Write the viewer with a field over the images of the demo recording."""
+    laboratory.page(GALLERY["demo"])
+    viewed = ViewSession(find_sources(laboratory.place / "out" / "demo" / "Fz-0080", None))
+    server = Server(api_handlers(viewed), 0, api_actions(viewed))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    page = browser.new_page(viewport={"width": WIDTH, "height": 900})
+    page.goto(server.address)
+    page.wait_for_selector("body[data-frame]")
+    page.locator("#field").select_option(index=1)
+    page.wait_for_timeout(1500)
+    image = Image.open(io.BytesIO(page.screenshot(clip={"x": 0, "y": 0, "width": WIDTH, "height": VIEWER_PX})))
+    image.convert("RGB").resize((1000, 1000 * VIEWER_PX // WIDTH)).save(IMAGES / "viewer.webp", quality=50, method=6)
+    page.close()
+    server.shutdown()
+    server.server_close()
 
 
 if __name__ == "__main__":

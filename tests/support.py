@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -83,6 +84,17 @@ def complex_of(entry: dict[str, Any]) -> np.ndarray:
 def examples(text: str, language: str = "toml") -> list[str]:
     """The blocks of a document that are marked with a language."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def draft_example(name: str) -> str:
+    """Text of rig.toml or recording.toml as `shakercal init --example` writes it."""
+    return (resources.files("fusion.planning.draft") / "example" / name).read_text(encoding="utf-8")
+
+
+def example_with(document: str, words: str) -> str:
+    """The first TOML example of a document that contains some words."""
+    text = (DOCS / document).read_text(encoding="utf-8")
+    return next(block for block in examples(text) if words in block)
 
 
 def key_tables(section: str, level: str = "###") -> dict[str, dict[str, str]]:

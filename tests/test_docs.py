@@ -79,6 +79,8 @@ def test_the_site_is_made_without_a_warning_and_asks_for_nothing(tmp_path: Path)
     ]
     told = subprocess.run(build, capture_output=True, text=True, check=False)
     assert (told.returncode, told.stderr) == (0, "")
+    options = _text(tmp_path / "_static" / "documentation_options.js")
+    assert "SHOW_SEARCH_SUMMARY: false" in options  # summaries would be fetched, which files do not allow
     for page in tmp_path.rglob("*.html"):
         addresses = re.findall(r'(?:src|href)="(https?://[^"]*)"', page.read_text(encoding="utf-8"))
         loaded = [a for a in addresses if re.search(r"\.(js|css|woff2?|png)(\?|$)", a)]
@@ -108,6 +110,12 @@ def test_tables_of_modules_are_the_first_lines_of_their_docstrings() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     for name, table in modules.module_tables().items():
         assert f"<!-- {name} -->\n{table}\n<!-- end of {name} -->\n" in page, "run: python docs/modules.py"
+
+
+def test_the_version_to_cite_is_that_of_the_program() -> None:
+    version = importlib.import_module("shakercal").__version__
+    assert f"version: {version}\n" in _text(ROOT / "CITATION.cff")
+    assert set(re.findall(r"\b\d+\.\d+\.\d+\b", _text(ROOT / "docs" / "citation.md"))) == {version}
 
 
 def test_every_image_is_shown_and_every_drawing_is_made() -> None:

@@ -128,12 +128,12 @@ IMAGE_LISTS = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     remedy="Name the left images first, then the right ones in the same order.",
-    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
+    link="cameras.md#from-images-of-a-target-to-a-stereo-pair",
 )
 OUTPUT_SUFFIX = DeclaredNotice(
     "SC-297",
     "error",
     "expected {expected}, found {found}",
     remedy="Choose a name with this suffix by `-o`.",
-    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
+    link="cameras.md#from-images-of-a-target-to-a-stereo-pair",
 )

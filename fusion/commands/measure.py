@@ -136,8 +136,8 @@ def _simulate_options(parser: Parser) -> None:
     parser.value("out", path, "OUT", "campaign folder to create")
     text = (
         "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
-        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a camera calibration; chirp: a "
-        "recording for shakercal "
+        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; files: a laboratory's files without "
+        "manifests, for shakercal init; targets: a camera calibration; chirp: a recording for shakercal "
         "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
         "rotate; steps: one for shakercal step; loads: one for shakercal load; elastomer: a geometry for shakercal "
         "elastomer"
@@ -170,7 +170,8 @@ def simulate(options: argparse.Namespace) -> None:
         reason = str(error).partition(": ")[2]
         raise InputError(INVALID_OPTION, "shakercal simulate", "--violate", reason=reason) from error
     number = len(list(options.out.glob("*/recording.toml")))
-    kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "images"
+    unnumbered = {"files": "files of a laboratory", "targets": "images", "elastomer": "element"}
+    kind = "recording" if number == 1 else "campaign" if number else unnumbered[options.preset]
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
 
 

@@ -21,7 +21,7 @@ PATH_TOO_LONG = DeclaredNotice(
     "could not be written: {reason}; its path of {characters} characters may be too long for the system",
     effect="Files that were there before are unchanged.",
     remedy="Use a shorter output folder, or enable long paths.",
-    link="windows.md",
+    link="install.md#long-paths",
 )
 LOCKED = DeclaredNotice(
     "SC-552",

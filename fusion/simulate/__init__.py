@@ -15,7 +15,8 @@ from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
-PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", *GRAVITY_TESTS, "steps", "loads", "elastomer")
+CHIRPS = ("chirp", "masses", "pitching")
+PRESETS = (*RECORDINGS, "files", "targets", *CHIRPS, *GRAVITY_TESTS, "steps", "loads", "elastomer")
 
 
 def simulate(
@@ -59,7 +60,7 @@ def simulate(
     """
     if preset not in PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
-    if switches and preset not in RECORDINGS:
+    if switches and preset not in (*RECORDINGS, "files"):
         raise ValueError(f"{next(iter(switches))}: expected one of the presets {', '.join(RECORDINGS)}, found {preset}")
     out = Path(out)
     _check_out(out)
@@ -85,7 +86,12 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
         from fusion.simulate.sines import SimulationOptions, write_runs
 
         write_runs(folder, preset, seed, progress, SimulationOptions(**switches))
-    elif preset in ("chirp", "masses", "pitching"):
+    elif preset == "files":
+        from fusion.simulate.laboratory_files import write_laboratory_files
+        from fusion.simulate.sines import SimulationOptions
+
+        write_laboratory_files(folder, seed, progress, SimulationOptions(**switches))
+    elif preset in CHIRPS:
         from fusion.simulate.chirp import write_chirp, write_masses, write_pitching
 
         if preset == "masses":
@@ -130,7 +136,9 @@ def _not_simulated(out: Path) -> Path | None:
     element = {(out / name).resolve() for name in ("elastomer.toml", "models.json", "truth.json")}
     written = element if all(file.is_file() for file in element) else set()
     truth = out / "truth.json"
-    if truth.is_file() and "left" in json.loads(truth.read_text(encoding="utf-8")):
+    if truth.is_file() and "files" in (stated := json.loads(truth.read_text(encoding="utf-8"))):
+        written.update((out / name).resolve() for name in stated["files"])
+    elif truth.is_file() and "left" in stated:
         images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
         written.update((out / name).resolve() for name in images)
     for truth in out.glob("*/truth.json"):

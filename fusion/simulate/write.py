@@ -51,7 +51,7 @@ def write_recording(
 
 
 def write_record(path: Path, recorded: Record) -> None:
-    """Write one DAQ file by its suffix: HDF5, or TDMS with waveform properties."""
+    """Write one DAQ file by its suffix: HDF5, TDMS, or a German recorder's CSV."""
     if path.suffix == ".tdms":
         from nptdms import ChannelObject, TdmsWriter
 
@@ -64,6 +64,9 @@ def write_record(path: Path, recorded: Record) -> None:
         with TdmsWriter(stream) as writer:
             writer.write_segment(channels)
         write_file(path, stream.getvalue())
+        return
+    if path.suffix == ".csv":
+        write_file(path, _german_table(recorded).encode("latin-1"))
         return
     import h5py
 
@@ -78,6 +81,17 @@ def write_record(path: Path, recorded: Record) -> None:
             data.attrs["unit"] = recorded.units[name]
 
     write_file(path, h5_content(fill, in_order=False))
+
+
+def _german_table(recorded: Record) -> str:
+    """Return a preamble and a table with decimal commas; times have nine decimals."""
+    rate, count = recorded.sample_rate_hz, len(next(iter(recorded.samples.values())))
+    head = f"Messverstärker;Vibrometer-Rekorder\nAbtastrate;{rate:.0f} Hz\nWerte;{count}\n\n"
+    names = ";".join(["Zeit [s]", *(f"{name} [{recorded.units[name]}]" for name in recorded.samples)])
+    columns = [[f"{index / rate:.9f}" for index in range(count)]]
+    columns += [[f"{value:.6f}" for value in samples.tolist()] for samples in recorded.samples.values()]
+    table = "\n".join(map(";".join, zip(*columns, strict=True))).replace(".", ",")
+    return f"{head}{names}\n{table}\n"
 
 
 def points_text(position_m: FloatArray) -> str:

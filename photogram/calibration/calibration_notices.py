@@ -97,7 +97,7 @@ SPACING_UNCERTAINTY_UNSTATED = DeclaredNotice(
     "The uncertainty of the target's spacing is not stated.",
     effect="The uncertainty of all lengths does not include it.",
     remedy="State it by `--scale-uncertainty`.",
-    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
+    link="cameras.md#from-images-of-a-target-to-a-stereo-pair",
 )
 KNOWN_LENGTH_USED = DeclaredNotice(
     "SC-262",
@@ -105,7 +105,7 @@ KNOWN_LENGTH_USED = DeclaredNotice(
     "The known length of {stated_mm:.6g} mm from {first} to {second} is {measured_mm:.6g} mm by the target's spacing "
     "({difference_percent:+.2g} %, U = {expanded_percent:.2g} %).",
     effect="All lengths are changed by {change_percent:+.2g} %, with U = {scale_expanded_percent:.2g} % (k = 2).",
-    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
+    link="cameras.md#from-images-of-a-target-to-a-stereo-pair",
 )
 KNOWN_LENGTH_CONTRADICTED = DeclaredNotice(
     "SC-263",
@@ -115,7 +115,7 @@ KNOWN_LENGTH_CONTRADICTED = DeclaredNotice(
     effect="All lengths are changed by {change_percent:+.2g} %, with the enlarged U = {scale_expanded_percent:.2g} % "
     "(k = 2).",
     remedy="Measure the length and the spacing again.",
-    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
+    link="cameras.md#from-images-of-a-target-to-a-stereo-pair",
 )
 EVEN_POWERS_REQUESTED = DeclaredNotice(
     "SC-264",
@@ -232,14 +232,14 @@ SKEW_IGNORED = DeclaredNotice(
     "OpenCV's functions ignore the skew of {skew_px:.3g} px.",
     effect="Its projections differ from those of this camera.",
     remedy="Calibrate without skew for use in OpenCV.",
-    link="cameras.md#and-out-again",
+    link="cameras.md#export-to-other-programs",
 )
 COVARIANCE_NOT_EXPORTED = DeclaredNotice(
     "SC-278",
     "note",
-    "A {program} file has no covariance.",
+    "A file of {program} has no covariance.",
     remedy="Keep the original file.",
-    link="cameras.md#and-out-again",
+    link="cameras.md#export-to-other-programs",
 )
 CONTRADICTORY_EVIDENCE = DeclaredNotice(
     "SC-279",

@@ -73,7 +73,7 @@ SENSOR_SATURATES = DeclaredNotice(
     effect="The texture is cut off. Motions below a pixel are too small by some {shortening_percent:.2g} %. The stated "
     "error periodic in the pixel covers a part of it.",
     remedy="Use less light or a shorter exposure.",
-    link="tracking.md#what-cameras-do",
+    link="tracking.md#sensor-errors-and-their-effects",
 )
 NOISE_FALLS = DeclaredNotice(
     "SC-245",
@@ -82,7 +82,7 @@ NOISE_FALLS = DeclaredNotice(
     "light, as with a gamma of about 0.45.",
     effect="Motions change by less than 0.01 %, because the curve moves with the texture.",
     remedy="Switch off the gamma of the camera, for example to check its exposure and noise.",
-    link="tracking.md#what-cameras-do",
+    link="tracking.md#sensor-errors-and-their-effects",
 )
 NOISE_OF_ROWS = DeclaredNotice(
     "SC-246",
@@ -92,7 +92,7 @@ NOISE_OF_ROWS = DeclaredNotice(
     effect="Motions across the rows scatter more than the noise of single pixels predicts. The uncertainty of lines "
     "includes it, since it is computed from the scatter.",
     remedy="Record more frames, or use a camera whose rows have no noise in common.",
-    link="tracking.md#what-cameras-do",
+    link="tracking.md#sensor-errors-and-their-effects",
 )
 COLUMNS_ALTERNATE = DeclaredNotice(
     "SC-247",
@@ -101,7 +101,7 @@ COLUMNS_ALTERNATE = DeclaredNotice(
     effect="Every image is corrected by this ratio. Without it motions across the {lines} below a pixel would be "
     "shortened by up to {shortening_percent:.2g} %.",
     remedy="Correct the gain of the {lines} in the camera, or state flat images.",
-    link="tracking.md#what-cameras-do",
+    link="tracking.md#sensor-errors-and-their-effects",
 )
 
 
@@ -136,7 +136,7 @@ OFF_EPIPOLAR_LINES = DeclaredNotice(
     "Matched points are {offset_px:.1f} px off their epipolar lines on average.",
     effect="The calibration does not belong to these images, or a camera has moved since.",
     remedy="Calibrate the pair again, or use the calibration of this recording.",
-    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+    link="tracking.md#check-of-the-calibration-in-every-run",
 )
 
 
@@ -146,7 +146,7 @@ BODY_DEFORMS = DeclaredNotice(
     "The points depart from a rigid motion by {misfit_um:.1f} µm rms, {ratio:.0f} times their noise.",
     effect="The body bends, or parts of it move separately. The six components describe its best rigid fit.",
     remedy="Check the mounting; restrict `region` to the stiff part of the body.",
-    link="tracking.md#what-the-body-does-beside",
+    link="tracking.md#deformation-of-the-body",
 )
 FRAMES_WITHOUT_GREY_FIT = DeclaredNotice(
     "SC-221",
@@ -154,7 +154,7 @@ FRAMES_WITHOUT_GREY_FIT = DeclaredNotice(
     "In {failed} of {frames} frames the motion could not be fitted to the grey values.",
     effect="These frames have the motion of their points, which has more noise.",
     remedy="Check the light and the texture in these frames.",
-    link="tracking.md#what-the-fit-to-the-grey-values-does",
+    link="tracking.md#fit-to-the-grey-values",
 )
 GREY_FIT_DISAGREES = DeclaredNotice(
     "SC-222",
@@ -163,7 +163,7 @@ GREY_FIT_DISAGREES = DeclaredNotice(
     "uncertainties.",
     effect="The body bends, something in front of it moves, or its texture is not resolved.",
     remedy="Keep the view free, and check the texture and the mounting.",
-    link="tracking.md#what-the-fit-to-the-grey-values-does",
+    link="tracking.md#fit-to-the-grey-values",
 )
 
 # The fixed pattern of the sensors.

@@ -8,7 +8,7 @@ PAIR_CHANGED = DeclaredNotice(
     "The epipolar residual is {residual_px:.3f} px, but {source} explains {explained_px:.3f} px.",
     effect="The cameras no longer agree with their calibration; positions may be wrong.",
     remedy="Calibrate again.",
-    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+    link="tracking.md#check-of-the-calibration-in-every-run",
 )
 CAMERA_ROTATED = DeclaredNotice(
     "SC-231",
@@ -18,7 +18,7 @@ CAMERA_ROTATED = DeclaredNotice(
     effect="The cameras no longer agree with their calibration. The rotation displaces the points by at least "
     "{displaced_mm:.3f} mm.",
     remedy="Calibrate again.",
-    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+    link="tracking.md#check-of-the-calibration-in-every-run",
 )
 CAMERA_MOVED = DeclaredNotice(
     "SC-232",
@@ -26,7 +26,7 @@ CAMERA_MOVED = DeclaredNotice(
     "A camera moved before frame {frame} (counted from 0): the epipolar residual changes by {change_px:.3f} px.",
     effect="Positions before and after that frame do not agree.",
     remedy="Fix the cameras and record again, or evaluate both parts separately.",
-    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+    link="tracking.md#check-of-the-calibration-in-every-run",
 )
 CAMERA_DRIFTS = DeclaredNotice(
     "SC-233",
@@ -34,5 +34,5 @@ CAMERA_DRIFTS = DeclaredNotice(
     "A camera drifts: the epipolar residual changes by {change_px:.3f} px from the first to the last frame.",
     effect="Positions change slowly without a motion of the body.",
     remedy="Let the cameras warm up, and fix them.",
-    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+    link="tracking.md#check-of-the-calibration-in-every-run",
 )

@@ -1,4 +1,4 @@
-"""A small valid campaign on disk: examples of docs/recording-format.md, empty files."""
+"""A small valid campaign on disk: the example of `shakercal init`, empty files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from evaluation_factory import Choice, make_evaluation
 from recordings import make_once
-from support import DOCS, RefusedCommand, examples, refusals, without_pages
+from support import DOCS, RefusedCommand, draft_example, examples, refusals, without_pages
 
 from fusion import simulate_preset
 from fusion.base import Settings, versions
@@ -59,10 +59,13 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def format_examples() -> dict[str, str]:
-    """The examples rig.toml, recording.toml and calibration/NAME.json of the format's document."""
-    text = (DOCS / "recording-format.md").read_text(encoding="utf-8")
-    rig, recording, *_ = examples(text)
-    return {"rig": rig, "recording": recording, "calibration": examples(text, "json")[0]}
+    """The example of rig.toml and recording.toml, and calibration/NAME.json of the document on files."""
+    calibration = examples((DOCS / "files.md").read_text(encoding="utf-8"), "json")[0]
+    return {
+        "rig": draft_example("rig.toml"),
+        "recording": draft_example("recording.toml"),
+        "calibration": calibration,
+    }
 
 
 @pytest.fixture

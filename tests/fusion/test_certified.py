@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from certificates import SIGNED
-from support import DOCS, examples
+from support import example_with
 
 from fusion.cli import main
 from fusion.errors import InputError
@@ -142,7 +142,7 @@ def test_certificate_and_typed_values_give_the_same_inputs(campaign):
 
 
 def test_the_example_of_the_document_is_read(tmp_path):
-    text = tomllib.loads(examples((DOCS / "recording-format.md").read_text(encoding="utf-8"))[5])
+    text = tomllib.loads(example_with("recording-format.md", "dcc ="))
     (tmp_path / "certificates").mkdir()
     mass = result("Mass of the load", real("6.9605", r"\kilogram", "0.002"))
     (tmp_path / "certificates" / "M-2026-117.xml").write_text(certificate(mass))

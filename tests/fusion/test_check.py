@@ -16,7 +16,7 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
-from support import AT_ORIGIN, DOCS, block, channel, edit, examples, recording_head, write_daq
+from support import AT_ORIGIN, DOCS, block, channel, edit, example_with, recording_head, write_daq
 
 from fusion.cli import main
 from fusion.errors import InputError
@@ -224,12 +224,12 @@ def test_what_is_said_of_an_unstated_scale_is_what_the_fusion_does(make_campaign
 
 
 FREQUENCY = np.array([100.0, 1000.0, 4000.0])
-DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
+DOC = (DOCS / "files.md").read_text(encoding="utf-8")
 
 
 def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_listed(tmp_path):
     path = tmp_path / "chain.toml"
-    path.write_text(examples(DOC)[3], encoding="utf-8")
+    path.write_text(example_with("files.md", "[[element]]"), encoding="utf-8")
     response = read_response(path, FREQUENCY)
     assert len(read_chain(path).element) == 3
     b, a = signal.butter(4, 2.0 * np.pi * 10e3, analog=True)
@@ -241,7 +241,7 @@ def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_lis
     expected = amplifier * signal.freqs(b, a, 2.0 * np.pi * FREQUENCY)[1] * np.exp(-s * 8e-6)
     np.testing.assert_allclose(response.value, expected / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-9)
     assert {"gain of charge amplifier", "delay of anti-alias filter"} <= set(response.causes)
-    section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Inputs as certificates")]
+    section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Digital calibration certificates")]
     told = [line.split("`")[1] for line in section.splitlines()[2:] if line.startswith("| `")]
     assert told == list(ChainElement.model_fields)
 

@@ -158,12 +158,23 @@ def test_a_file_answers_replaces_guesses_and_uncomments_keys(tmp_path, demo_reco
     assert not (place / "rig.toml").exists()
 
 
+def test_outputs_without_names_have_the_stated_ones_in_their_order(tmp_path, demo_recording):
+    place = one_laser_and_one_pair(tmp_path, demo_recording, False)
+    (tmp_path / "answers.toml").write_text(
+        'channels = ["Fz", "Mz"]\nai0.quantity = "output"\nai1.quantity = "output"\n'
+    )
+    files = run_init(place, answers=tmp_path / "answers.toml").files
+    (block,) = tomllib.loads(files[place / "recording.toml"])["daq"]
+    assert [(entry["name"], entry.get("channel")) for entry in block["channel"][:2]] == [("ai0", "Fz"), ("ai1", "Mz")]
+
+
 @pytest.mark.parametrize(
     ("text", "key", "value"),
     [
         ("2.4", "mass", 2.4),
         ("2,4", "mass", 2.4),
         ("on_load", "sense", "on_load"),
+        ("Fx, Fy Fz", "channels", ["Fx", "Fy", "Fz"]),
         ('"pulse"', "exposure", "pulse"),
         ("0 0 1", "direction", [0.0, 0.0, 1.0]),
         ("(0,5; 0; 1)", "direction", [0.5, 0.0, 1.0]),

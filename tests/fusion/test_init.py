@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from scipy.io import wavfile
-from support import DOCS, examples, folder_contents, refusals, rows, write_daq
+from support import DOCS, draft_example, examples, folder_contents, refusals, rows, write_daq
 
 from fusion import draft
 from fusion.cli import main
@@ -388,11 +388,15 @@ def test_cameras_become_pairs_by_their_names(tmp_path, names, pairs, demo_record
     assert {pair.name: (pair.left.pattern, pair.right.pattern) for pair in found} == pairs
 
 
-def test_the_example_is_that_of_the_document(tmp_path):
-    document = examples((DOCS / "recording-format.md").read_text(encoding="utf-8"))
-    assert list(example(tmp_path).files.values()) == document[:2]
+def test_the_blocks_of_the_document_are_the_example(tmp_path):
+    """Joined in their order, the examples of the document are both files, without their empty lines."""
+    blocks = examples((DOCS / "recording-format.md").read_text(encoding="utf-8"))
+    for text in example(tmp_path).files.values():
+        found = [line for block in blocks if block in text for line in block.splitlines() if line]
+        assert found == [line for line in text.splitlines() if line]
     assert main(["init", str(tmp_path / "new"), "--example"]) == 0
-    assert (tmp_path / "new" / "Fz-0106.25" / "recording.toml").read_text(encoding="utf-8") == document[1]
+    written = (tmp_path / "new" / "Fz-0106.25" / "recording.toml").read_text(encoding="utf-8")
+    assert written == draft_example("recording.toml")
 
 
 def test_a_folder_without_manifest_leads_to_init(tmp_path, refused):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import DOCS, examples, refusals, write_daq
+from support import example_with, refusals, write_daq
 
 from fusion import draft
 from fusion.recording.load import load_manifest
@@ -104,7 +104,7 @@ def test_an_unknown_instrument_and_a_wrong_library_are_named(demo, refused):
 
 
 def test_the_example_of_the_document_is_a_library(demo):
-    text = next(text for text in examples((DOCS / "recording-format.md").read_text()) if "[instrument." in text)
+    text = example_with("recording-format.md", "[instrument.")
     (demo / "instruments.toml").write_text(text)
     name = next(iter(tomllib.loads(text)["instrument"]))
 

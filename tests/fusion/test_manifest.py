@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
-from support import DOCS, documented_keys, examples, key_tables
+from support import DOCS, documented_keys, draft_example, example_with, examples, key_tables
 
+from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
@@ -182,8 +184,6 @@ MODELS: dict[str, type[BaseModel]] = {
     "Top level of rig.toml": Rig,
     "`[sensor]`": Sensor,
     "`[load]`": RigLoad,
-    "`[[load.elastic]]`": Elastic,
-    "`[[load.elastic.mode]]`": ElasticMode,
     "`[[part]]`, in rig.toml or recording.toml": RigPart,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,
@@ -199,34 +199,85 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[acknowledged]]`": Acknowledgement,
     "`[excitation]`": ExcitationEntry,
     "`[[daq]]`": Daq,
-    "`[daq.defaults]`": ChannelDefaults,
     "`[[daq.channel]]`": ChannelEntry,
     "`response_columns` of a channel": ResponseColumns,
     "`[instrument.NAME]` of instruments.toml": Instrument,
     "`[[images]]`": Images,
     "`[[points]]`": PointFiles,
     "`[[take]]`": Take,
+    "`[[load.elastic]]`": Elastic,
+    "`[[load.elastic.mode]]`": ElasticMode,
 }
+"""In the order of recording-format.md, then of elastic.md."""
 
 
 def test_every_block_has_a_table_that_is_its_model():
-    tables = key_tables(DOC[DOC.index("## Every key") : DOC.index("## What a run leaves")])
-    assert tables == documented_keys(MODELS)
+    tables = key_tables(DOC[DOC.index("## Every key") : DOC.index("## Response files")])
+    elastic = (DOCS / "elastic.md").read_text(encoding="utf-8")
+    tables |= key_tables(elastic[elastic.index("## Keys") :])
+    assert tables.pop("`[daq.defaults]`") == {}
+    expected = documented_keys(MODELS)
+    library = expected["`[instrument.NAME]` of instruments.toml"]
+    for key in ChannelDefaults.model_fields:
+        del library[key]
+    assert tables == expected
     assert list(tables) == list(MODELS)
+    section = DOC[DOC.index("### `[daq.defaults]`") : DOC.index("### `[[daq.channel]]`")]
+    assert re.findall(r"`(\w+)`", section[section.index("Its keys are") :]) == list(ChannelDefaults.model_fields)
 
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
     every = [tomllib.loads(text) for text in examples(DOC)]
-    rig, recording, columns, chain, certified, _, _, _ = every  # the last: test_certified.py, test_instruments.py
-    assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
-    assert ResponseColumns(**columns["daq"]["channel"][0]["response_columns"]).k == 2.0
+    rig, recording = (tomllib.loads(draft_example(name)) for name in ("rig.toml", "recording.toml"))
+    (columns,) = (channel for text in every for channel in _channels(text) if "response_columns" in channel)
+    assert ResponseColumns(**columns["response_columns"]).k == 2.0
+    (elastic,) = (text["load"]["elastic"][0] for text in every if "elastic" in text.get("load", {}))
+    assert Elastic(**elastic).shape == "rod"
+    (acknowledged,) = (text["acknowledged"][0] for text in every if "acknowledged" in text)
+    assert Acknowledgement(**acknowledged).code == "SC-485"
+    (surface,) = (pair["surface"] for text in every for pair in text.get("stereo", {}).values() if "surface" in pair)
+    assert SurfacePlane(**surface).normal == (0.0, 1.0, 0.0)
+    (camera,) = (pair["left"] for text in every for pair in text.get("stereo", {}).values() if "left" in pair)
+    assert camera.keys() <= SensorOfCamera.model_fields.keys()
+    (take,) = (text["take"][0] for text in every if "take" in text)
+    channels = [ChannelEntry(**channel) for channel in take["daq"][0]["channel"]]
+    assert [channel.reference for channel in channels] == [False, True]
     manifest = load_manifest(make_campaign())
     pair = manifest.rig.stereo["top"]
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
     assert pair.model_dump(mode="json", include=set(given)) == given
     assert [daq["name"] for daq in recording["daq"]] == [daq.name for daq in manifest.daq]
+    certified = tomllib.loads(example_with("recording-format.md", "U = "))
     assert uncertain_inputs(certified, Path("rig.toml"))[0].u == manifest.rig.load.mass_uncertainty
     np.testing.assert_array_equal(read_calibration(pair.calibration).right_from_left.translation_m, [-0.15, 0, 0])
+
+
+def _channels(text):
+    """Channels of an example, which may begin at `[[daq.channel]]`."""
+    blocks = text.get("daq", [])
+    return [channel for daq in (blocks if isinstance(blocks, list) else [blocks]) for channel in daq.get("channel", [])]
+
+
+def test_the_minimal_recording_of_the_document_gives_the_printed_result(tmp_path, capsys):
+    """Laser and output of a sensor of 7·10⁻⁷ (V/V)/N at 80 Hz, as the document prints it: U and all digits."""
+    rig, recording = examples(DOC)[:2]
+    folder = tmp_path / "Fz-0080"
+    folder.mkdir()
+    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
+    (folder / "recording.toml").write_text(recording, encoding="utf-8")
+    time_s, noise = np.arange(20000) / 5000.0, np.random.default_rng(1)
+    phase, acceleration = 2.0 * np.pi * 80.0 * time_s, 20.0
+    velocity = acceleration / (2.0 * np.pi * 80.0) * np.sin(phase) + 2e-5 * noise.normal(size=20000)
+    force = -(2.4063 + 0.214) * acceleration * np.cos(phase)
+    output = 1e3 * 7e-7 * force + 1e-5 * noise.normal(size=20000)
+    lines = [f"{t:.4f},{v:.6f},{o:.6f}" for t, v, o in zip(time_s, velocity, output, strict=True)]
+    head = examples(DOC, "text")[0].splitlines()
+    assert head[1:] == lines[: len(head) - 1]
+    (folder / "recorder.csv").write_text("\n".join((head[0], *lines, "")), encoding="utf-8")
+    assert main(["run", str(tmp_path), "-o", str(tmp_path / "out"), "-q"]) == 0
+    (row,) = (line for line in DOC.splitlines() if line.startswith("│ 80.0000"))
+    assert "(7.000 ± 0.012) × 10⁻⁷" in row
+    assert row in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset not in ("targets", "elastomer")])
+@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset not in ("files", "targets", "elastomer")])
 def test_right_presets_are_not_doubted(preset: str, tmp_path: Path) -> None:
     switches = {"frames": 8, "recordings": 1, "image_scale": 0.3} if preset in RECORDINGS else {}
     simulate(tmp_path / "out", preset, 1, **switches)

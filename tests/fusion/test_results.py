@@ -30,7 +30,7 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor.identify import sine_curves
 from fusion.sensor.identify.identification_inputs import EvaluatedSines
 
-FORMAT = "recording-format.md"
+FORMAT = "results.md"
 SENSITIVITY, PHASOR = (",".join(documented_columns(FORMAT, f"{name}.csv")) for name in ("sensitivity", "acceleration"))
 MOTION = "time_s,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,u_x_m,u_y_m,u_z_m,u_rx_rad,u_ry_rad,u_rz_rad,residual_m,points"
 

@@ -203,7 +203,7 @@ def test_every_name_is_refused_twice_and_runs_of_all_presets_take_them() -> None
 
 
 def test_the_document_lists_every_violation_and_its_verdict() -> None:
-    text = (DOCS / "assumptions.md").read_text(encoding="utf-8")
+    text = (DOCS / "assumptions-tables.md").read_text(encoding="utf-8")
     for name, violation in CATALOGUE.items():
         assert f"| `{name}` | {violation.size:g} {violation.unit} |" in text
         assert any(f"`{name}={violation.size:g}`" in row for row in _verdicts())
@@ -211,7 +211,7 @@ def test_the_document_lists_every_violation_and_its_verdict() -> None:
 
 def _verdicts() -> dict[str, str]:
     """Verdict of every row of the document's table, by what was violated and on which rig."""
-    text = (DOCS / "assumptions.md").read_text(encoding="utf-8")
+    text = (DOCS / "assumptions-tables.md").read_text(encoding="utf-8")
     table = text.partition("<!-- violations -->")[2].partition("<!-- end of violations -->")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[3:]]
     return {f"{row[0]} on {row[1]}": row[-1] for row in rows}
@@ -257,14 +257,14 @@ def test_the_verdicts_of_the_document_stand(rig: str, name: str, benchmark: Modu
 @pytest.mark.slow
 @pytest.mark.parametrize("names", [("point",), ("direction",), ("direction", "transverse-motion")])
 def test_one_wrong_point_of_four_does_not_end_silently(names: tuple[str, ...], benchmark: ModuleType) -> None:
-    """No U that is right otherwise covers it: the rotation that it moves is told in every recording, and by whom."""
+    """No U that is right otherwise covers it: every recording lists the rotation that it moves, and the channels."""
     for seed in range(1, 9):
         notices = benchmark.draw(benchmark.RIGS["full"], names, seed).notices
         (text,) = (text for text in notices if SINGLE_ERROR_NOT_ASSESSED.code in text and "[load]" in text)
         assert re.search(r"ry by up to [^)]*velocity_1, velocity_3\)", text)
     (row,) = benchmark.rows(8, [("full", names)])
-    assert row.told == 1.0
-    assert row.verdict in ("told", "covered")
+    assert row.listed == 1.0
+    assert row.verdict in ("listed", "covered")
 
 
 @pytest.mark.parametrize(

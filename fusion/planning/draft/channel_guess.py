@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from typing import Any
 
 from fusion.base import PROGRAM, __version__, natural_key
@@ -33,7 +34,7 @@ HEAD = f"""\
 
 def key_line(key: str, value: Any, why: str = "") -> str:
     """Return the line of a key with a known or guessed value."""
-    shown = json.dumps(value, ensure_ascii=False)
+    shown = value.isoformat() if isinstance(value, date) else json.dumps(value, ensure_ascii=False)
     return f"{key} = {shown}" + (f"  # {why}" if why else "")
 
 
@@ -91,7 +92,7 @@ NAMES = (
 )
 """Quantities by words of a channel's name; the first match counts."""
 GAUGE_WORDS = r"load_?cell\w*|gauge|reference|ref|hammer|stinger|kraftmess\w*"
-TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*"
+TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*|kamera\w*"
 BASE_WORDS, LOAD_WORDS = r"base|table|tisch|bottom|lower|shaker|armature", r"load|mass|top|upper|masse|last"
 
 
@@ -194,7 +195,7 @@ class RecorderFile:
 def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
     """Return the guesses for all files, files with motion channels first.
 
-    Pulses of one rate in several files are one trigger, named by a channel with a trigger's name.
+    Pulses of one rate in several files are one trigger, named by a channel with a trigger's name if there is one.
     """
     found = [_without_copies(RecorderFile(daq, tuple(_guess_file(daq)))) for daq in daqs if daq.channels]
     rates = [pulses.rate_hz for recorder in found for _, pulses in recorder.triggers]
@@ -202,19 +203,26 @@ def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
     def named(recorder: RecorderFile) -> RecorderFile:
         names: list[str] = []
         for item in recorder.channels:
-            name = item.found.title if len(item.found.title) <= LONG_NAME else item.found.title.rpartition("/")[2]
+            name = _name_of(item.found)
             if item.found.pulses is not None:
-                name = telling.get(_same_rate(rates, item.found.pulses.rate_hz), name)
+                name = common[_same_rate(rates, item.found.pulses.rate_hz)]
             names.append(item.found.name if name in names else name)
         guesses = (replace(item, name=name) for item, name in zip(recorder.channels, names, strict=True))
         return replace(recorder, channels=tuple(sorted(guesses, key=lambda item: item.order)))
 
-    telling: dict[float, str] = {}
-    for item in (item for recorder in found for item in recorder.channels if item.found.pulses is not None):
-        if item.found.pulses is not None and has_word(TRIGGER_WORDS, item.found.title):
-            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.title)
+    triggers = [item.found for recorder in found for item in recorder.channels if item.found.pulses is not None]
+    common: dict[float, str] = {}
+    for channel in sorted(triggers, key=lambda channel: not has_word(TRIGGER_WORDS, channel.title)):
+        if channel.pulses is not None:
+            common.setdefault(_same_rate(rates, channel.pulses.rate_hz), _name_of(channel))
     files = map(named, found)
     return sorted(files, key=lambda recorder: (-_motions(recorder), natural_key(recorder.daq.path.name)))
+
+
+def _name_of(channel: FoundChannel) -> str:
+    """Return the name of a channel in the recording."""
+    name = channel.label or channel.short or channel.name
+    return name if len(name) <= LONG_NAME else name.rpartition("/")[2]
 
 
 def _guess_file(daq: FoundDaq) -> list[ChannelGuess]:

@@ -11,10 +11,10 @@ from typing import Any
 
 from fusion.base import natural_key
 from fusion.errors import InputError
-from fusion.planning.draft.channel_guess import HEAD
+from fusion.planning.draft.channel_guess import HEAD, optional_line
 from fusion.planning.draft.excitation_guess import driven_axis
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
-from fusion.planning.draft.manifest_drafts import SurveyedRecording, recording_text, rig_text
+from fusion.planning.draft.manifest_drafts import RECORDING_KEYS, SurveyedRecording, recording_text, rig_text
 from fusion.planning.draft.questions import ask, with_answers
 from fusion.planning.planning_notices import (
     FILE_EXISTS,
@@ -200,7 +200,9 @@ def _summary(surveyed: SurveyedRecording) -> str:
     files = f"{len(readable)} recorder file{'s' if len(readable) > 1 else ''}"
     texts = [f"{files} with {channels}"] if readable else []
     for sight in inventory.camera_systems:
-        texts.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
+        kind = "camera" if sight.right is None else "stereo pair"
+        called = kind if sight.name in kind.split() else f"{kind} {sight.name}"
+        texts.append(f"{called} of {sight.left.frames} frames")
     texts += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     texts += [f"points {table.path.name}" for table in inventory.points]
     texts += [f"response {path.name}" for path in inventory.responses]
@@ -235,8 +237,10 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
     axis = driven_axis(folder.resolve().name)
     excitation = {**excitation, **({"frequencies": lines} if lines and "frequencies" in excitation else {})}
     excitation |= {"direction": axis} if axis is not None and "direction" in excitation else {}
-    copied = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
-    made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **copied, "excitation": excitation}
+    copied = {key: value for key, value in text.items() if key not in ("format", "name", "rig", "date", "excitation")}
+    head = to_toml({"format": 1, "name": folder.resolve().name, "rig": moved(rig)})
+    head += "".join(f"{optional_line(*entry)}\n" for entry in RECORDING_KEYS if entry[0] not in copied)
+    made = {**copied, "excitation": excitation}
     made["daq"] = [_same_recorder(block, inventory, moved) for block in _blocks(text, "daq")]
     sights = {sight.name: [camera.pattern for camera in sight.cameras] for sight in inventory.camera_systems}
     made["images"] = []
@@ -252,9 +256,8 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
         else {**block, "files": tables.get(str(block.get("stereo")), UNFILLED)}
         for block in _blocks(text, "points")
     ]
-    return f"{HEAD}# Rig and channels are those of {path.parent.name}.\n" + to_toml(
-        {k: v for k, v in made.items() if v != []}
-    )
+    rest = to_toml({key: value for key, value in made.items() if value != []})
+    return f"{HEAD}# Rig and channels are those of {path.parent.name}.\n\n{head}{rest}"
 
 
 def _blocks(text: dict[str, Any], key: str) -> list[dict[str, Any]]:
@@ -273,6 +276,12 @@ def _same_recorder(block: dict[str, Any], inventory: Inventory, moved: Any) -> d
         for entry in _blocks(block, "channel")
     ]
     names = {str(entry.get("in_file", entry.get("name"))) for entry in channels}
-    having = [daq.path.name for daq in inventory.daqs if names <= {channel.name for channel in daq.channels}]
+    having = [
+        daq.path.name
+        for daq in inventory.daqs
+        if names <= {name for channel in daq.channels for name in (channel.name, channel.short)}
+    ]
     same = [name for name in having if name == block.get("file")] or having
-    return {**block, "file": same[0] if len(same) == 1 else UNFILLED, "channel": channels}
+    file = same[0] if len(same) == 1 else UNFILLED
+    named = {"name": Path(file).stem} if block.get("name") == Path(str(block.get("file"))).stem and same else {}
+    return {**block, **named, "file": file, "channel": channels}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from photogram.images.image_files import SUFFIXES as IMAGE_SUFFIXES
 from shaker.io import EXPORTS, SUFFIXES, read_channels
 from shaker.io.channel import open_hdf5
 from shaker.io.table import is_table, table_units
+from shaker.io.table_head import split_unit
 from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.trigger import fit_trigger
 from shakercal._common.arrays import FloatArray
@@ -33,7 +34,11 @@ UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 LEAST_COUNT = 8  # samples that may be numbers of rows
 TABLE_KEYS = {"frequency_hz"}
+FOREIGN = (".yml", ".yaml", ".xml", ".caldat")
+FOREIGN_WORDS = re.compile(rb"opencv-matrix|opencv_storage|camera_m(atrix|odel)|<calibration|Cam0_Fx|<ParameterList")
+"""Suffixes and words of stereo calibrations of other programs."""
 HDF5 = (".h5", ".hdf5")
+TDMS, TABLES = ".tdms", (".csv", ".txt", ".dat")
 TEXTS = (".txt", ".dat")  # of recorders or of people
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
 """Attributes that may list the names of a table's columns."""
@@ -60,7 +65,8 @@ class TriggerPulses:
 class FoundChannel:
     """A channel of a file with unit, rate, length, range and pulses.
 
-    `label`: its name in a list of the file's columns, empty without one.
+    `label`: its name in a list of the file's columns, empty without one. `short`: its name without group or unit, if
+    the reader accepts it, otherwise that in the file.
     """
 
     name: str
@@ -71,6 +77,7 @@ class FoundChannel:
     high: float
     pulses: TriggerPulses | None
     label: str = ""
+    short: str = ""
 
     @property
     def title(self) -> str:
@@ -167,8 +174,10 @@ def survey_folder(folder: Path) -> Inventory:
 
 
 def is_recording_folder(folder: Path) -> bool:
-    """Return whether a folder contains a recorder's file or images."""
+    """Return whether a folder contains a recorder's file or images, and no results."""
     files = [path for path in folder.iterdir() if path.is_file()]
+    if any(_is_result(path) for path in files if path.suffix.lower() in HDF5):
+        return False
     return any(path.suffix.lower() in IMAGE_SUFFIXES or _is_recorder_file(path) for path in files)
 
 
@@ -176,6 +185,13 @@ def _is_recorder_file(path: Path) -> bool:
     """Return whether a file is a recorder's, by its suffix or its table."""
     suffix = path.suffix.lower()
     return suffix in SUFFIXES and (suffix not in TEXTS or is_table(path))
+
+
+def _is_result(path: Path) -> bool:
+    """Return whether an HDF5 file has the provenance of a result."""
+    with suppress(OSError, ValueError), open_hdf5(path) as file:
+        return "input_sha256" in file.get("provenance", {})
+    return False
 
 
 # Recorders.
@@ -217,8 +233,20 @@ def _daq(path: Path) -> FoundDaq:
         raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
     labels = _column_labels(path, raw) if path.suffix.lower() in HDF5 else {}
     channels = {name: channel for name, channel in raw.items() if not _is_empty_or_count(channel)}
-    made = tuple(_channel(name, channel, labels.get(name, "")) for name, channel in channels.items())
-    return FoundDaq(path, made, channels)
+    short = _short_names(path, raw)
+    made = (_channel(name, channel, labels.get(name, "")) for name, channel in channels.items())
+    return FoundDaq(path, tuple(replace(found, short=short[found.name]) for found in made), channels)
+
+
+def _short_names(path: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return the short names of channels: without the group of TDMS, the unit of tables."""
+    suffix = path.suffix.lower()
+    short = {
+        name: name.rpartition("/")[2] if suffix == TDMS else split_unit(name)[0] if suffix in TABLES else name
+        for name in names
+    }
+    count = Counter(short.values())
+    return {name: plain if count[plain] == 1 and plain not in short else name for name, plain in short.items()}
 
 
 def _is_empty_or_count(channel: RawChannel) -> bool:
@@ -339,6 +367,17 @@ def find_calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
             if is_calibration and isinstance(size, list) and len(size) == 2:
                 found[path] = size[0], size[1]
     return found
+
+
+def find_foreign_calibration(folder: Path) -> Path | None:
+    """Return the first file of another program's stereo calibration in a folder or directly below."""
+    found = [path for pattern in ("*", "*/*") for path in sorted(folder.glob(pattern))]
+    for path in found:
+        if path.suffix.lower() in FOREIGN and path.is_file():
+            with suppress(OSError), path.open("rb") as stream:
+                if FOREIGN_WORDS.search(stream.read(1 << 16)):
+                    return path
+    return None
 
 
 def _content(path: Path) -> dict[str, Any]:

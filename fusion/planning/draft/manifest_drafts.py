@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 from fusion.planning.draft.camera_pairs import FoundCameras
@@ -27,6 +28,7 @@ from fusion.planning.draft.inventory import (
     FoundPoints,
     Inventory,
     find_calibrations,
+    find_foreign_calibration,
     states_scale,
 )
 from fusion.recording.instruments import LIBRARY_NAME, find_library
@@ -49,6 +51,12 @@ SENSOR_KEYS = (
     ("internal_centre_of_mass_uncertainty", 1e-3, "m"),
     ("internal_inertia", [[0.0] * 3] * 3, "kg m^2, about its centre of mass"),
     ("internal_inertia_uncertainty", 1e-6, "kg m^2"),
+)
+RECORDING_KEYS = (
+    ("simulated", True, "a program computed the data, they were not measured"),
+    ("date", date(2026, 1, 31), "of the recording"),
+    ("operator", "", "who recorded it"),
+    ("mounting", "1", "recordings with another text have another mounting"),
 )
 LOAD_KEYS = (("centre_of_mass_uncertainty", 1e-4, "m"), ("inertia_uncertainty", 1e-5, "kg m^2"))
 PART_KEYS = (
@@ -116,7 +124,8 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
         yield key_line("channels", named, "its outputs in the files")
     else:
         yield question_line(
-            "channels", f'the names of its outputs, such as ["Fx", "Fy", "Fz"]; {len(outputs)} were found'
+            "channels",
+            f"the names of its outputs in the order of the channels, such as Fx Fy Fz; {len(outputs)} were found",
         )
     if units <= {"mv/v", "v/v"}:
         yield key_line("unit", "V/V", "of the outputs after their scale")
@@ -155,7 +164,9 @@ def _sight(
                 "calibration", "a file of shakercal cameras --mono, or of a pair whose left camera it is"
             )
         else:
-            yield question_line("calibration", "a file of shakercal cameras or import-calibration")
+            foreign = find_foreign_calibration(root)
+            how = f" (shakercal import-calibration {foreign} -o {root / 'stereo.json'})" if foreign else ""
+            yield question_line("calibration", f"a file of shakercal cameras or import-calibration{how}")
     frame = ("camera" if alone else "left camera") if is_camera else "points"
     yield question_line(
         "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"
@@ -228,9 +239,7 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     if inventory.unreadable:
         lines += ["# Cannot be read:", *(f"# {' '.join(text.split())}" for text in inventory.unreadable), ""]
     lines += ["format = 1", key_line("name", folder.name), key_line("rig", rig)]
-    lines += ["# simulated = true  # a program computed the data, they were not measured"]
-    lines += ["# date = 2026-01-31  # of the recording", optional_line("operator", "", "who recorded it")]
-    lines += [optional_line("mounting", "1", "recordings with another text have another mounting")]
+    lines += [optional_line(*entry) for entry in RECORDING_KEYS]
     lines += excitation_lines(folder.name, found, surveyed.lines)
     for recorder in found:
         lines += _daq_block(recorder, inventory.responses)
@@ -300,8 +309,8 @@ def _channel_block(item: ChannelGuess, shared: Mapping[str, str], *, scan: bool)
     found = item.found
     size = f"{found.samples} samples at {found.rate_hz:g} Hz, {found.low:.4g} to {found.high:.4g} {found.unit}"
     yield key_line("name", item.name, size.strip())
-    if item.name != found.name:
-        yield key_line("in_file", found.name)
+    if item.name not in (found.name, found.short):
+        yield key_line("in_file", found.short or found.name)
     if item.instrument:
         yield key_line("instrument", item.instrument, f"guessed: its name, of {LIBRARY_NAME}")
     yield key_line("quantity", item.quantity, item.why)

@@ -22,7 +22,7 @@ _STATEMENT = re.compile(
 )
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 IMPORTANCE = (
-    "kind", "direction", "frequencies", "quantity", "channel", "channels", "unit", "trigger", "first_edge", "sense",
+    "kind", "direction", "frequencies", "quantity", "channels", "channel", "unit", "trigger", "first_edge", "sense",
     "mass", "scale", "body", "point", "calibration", "rotation", "translation", "exposure", "internal_mass",
     "centre_of_mass", "inertia", "normal", "stereo",
 )  # fmt: skip
@@ -152,7 +152,10 @@ def with_answers(files: Mapping[Path, str], answers: Path, redraft: Redraft) -> 
         if name not in used:
             expected = "the end of a key's path in a drafted file, such as load.mass"
             raise InputError(UNUSED_ANSWER, answers, name, found="no such key", expected=expected)
-    return made
+    texts = {path: text.splitlines() for path, text in made.items()}
+    names = next((value for name, value in stated.items() if name.rpartition(".")[2] == "channels"), None)
+    _name_outputs(questions_of(made), texts, names)
+    return {path: "\n".join(lines) + "\n" for path, lines in texts.items()}
 
 
 def _flat(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
@@ -214,6 +217,8 @@ def parse_answer(text: str, key: str) -> Any:
     except tomllib.TOMLDecodeError:
         words = re.split(r"[\s;]+", text.strip("[]() "))
         words = [word.strip(",") for word in words]
+        if key == "channels":
+            return words
         words = [word.replace(",", ".") if word.count(",") == 1 and "." not in word else word for word in words]
         if not all(_NUMBER.fullmatch(word) for word in words):
             return text
@@ -248,11 +253,15 @@ def ask(
                 if UNFILLED not in lines[question.file][question.line]:
                     continue  # answered together with another one
                 if name not in given:
-                    left = len({_general(other.key) for other in questions[number:]} - set(given))
+                    left = len(
+                        {_general(q.key) for q in questions[number:] if UNFILLED in lines[q.file][q.line]} - set(given)
+                    )
                     text = reply(f"{head}{left} left. {question.key}: {question.why}")
                     head, given[name] = "", parse_answer(text, question.name) if text.strip() else None
                 if given[name] is not None:
                     _replace(lines[question.file], question.line, given[name])
+                    if question.name == "channels":
+                        _name_outputs(questions, lines, given[name])
                     if only_quantities:
                         quantities.setdefault(question.file.parent, {})[question.key] = str(given[name])
             made = {path: "\n".join(text) + "\n" for path, text in lines.items()}
@@ -260,6 +269,15 @@ def ask(
     except EOFError:
         files = {path: "\n".join(text) + "\n" for path, text in lines.items()}
     return dict(files)
+
+
+def _name_outputs(questions: Sequence[Question], lines: Mapping[Path, list[str]], names: Any) -> None:
+    """Fill in the open outputs of each recording with stated names, in their order."""
+    for path in lines:
+        outputs = [question for question in questions if question.file == path and question.name == "channel"]
+        if isinstance(names, list) and len(outputs) == len(names):
+            for output, name in zip(outputs, names, strict=True):
+                _replace(lines[path], output.line, name)
 
 
 def _certain(key: str) -> str:

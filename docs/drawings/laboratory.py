@@ -1,0 +1,322 @@
+"""Drawings of the set-up, the trigger, shutters and exposures: docs/practice.md and docs/shutter.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.patches import Arc, Circle, FancyArrowPatch, Polygon, Rectangle
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from style import BLUE, GREEN, GREY, ORANGE, RC, RED, VIOLET, Figure, new_figure
+
+FloatArray = NDArray[np.float64]
+STEEL, PALE = "#cbd5e1", "#eef1f4"
+
+
+def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float], colour: str, style: str = "-|>") -> None:
+    axes.add_patch(FancyArrowPatch(start, end, arrowstyle=style, mutation_scale=11, color=colour, shrinkA=0, shrinkB=0))
+
+
+def _blank(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+    axes.set(xlim=x, ylim=y, aspect="equal")
+    axes.axis("off")
+
+
+def _note(axes: Any, place: tuple[float, float], text: str, at: tuple[float, float], colour: str = "black") -> None:
+    """Write a text at one place, with a thin line to another."""
+    axes.plot(*zip(place, at, strict=True), color=colour, linewidth=0.7)
+    left = at[0] > place[0]
+    axes.text(
+        at[0] + (0.5 if left else -0.5),
+        at[1],
+        text,
+        ha="left" if left else "right",
+        va="center",
+        fontsize=8,
+        color=colour,
+    )
+
+
+def _camera(axes: Any, place: FloatArray, towards: FloatArray, size: float = 2.0) -> None:
+    along = (towards - place) / np.linalg.norm(towards - place)
+    across = np.array([-along[1], along[0]])
+    body = [place + size * (a * along + b * across) for a, b in ((-1.6, -0.7), (0, -0.7), (0, 0.7), (-1.6, 0.7))]
+    lens = [place + size * (a * along + b * across) for a, b in ((0, -0.35), (0.6, -0.5), (0.6, 0.5), (0, 0.35))]
+    for shape in (body, lens):
+        axes.add_patch(Polygon(shape, facecolor="#dbe4ee", edgecolor=BLUE, linewidth=1.3))
+
+
+@mpl.rc_context(RC)
+def instrument_places() -> Figure:
+    """Draw a shaker with sensor and load from the side, and where the instruments go."""
+    figure, axes = new_figure(4.3)
+    _blank(axes, (-53, 53), (-5, 57))
+    axes.plot([-50, 50], [0, 0], color="black")
+    axes.add_patch(Rectangle((-12, 0), 24, 12, facecolor=STEEL, edgecolor=GREY))
+    axes.text(0, 6, "shaker", ha="center", va="center")
+    axes.add_patch(Rectangle((-8, 12.4), 16, 2.2, facecolor=PALE, edgecolor=GREY))
+    axes.add_patch(Rectangle((-4, 14.6), 8, 3.0, facecolor="#f6d9b8", edgecolor=ORANGE))
+    axes.add_patch(Rectangle((-7, 17.6), 14, 6.0, facecolor=PALE, edgecolor=GREY))
+    axes.add_patch(Rectangle((-7, 23.6), 14, 0.5, facecolor="#111827"))
+    _note(axes, (7.2, 13.5), "table", (14, 12.6))
+    _note(axes, (4.0, 16.1), "force/moment sensor", (14, 16.4), ORANGE)
+    _note(axes, (7.0, 20.6), "load: known mass and inertia", (14, 20.2))
+    _note(axes, (6.4, 23.8), "speckle on the load", (14, 24.0))
+    _note(axes, (5.8, 15.0), "accelerometer near the axis, cable fixed to the table", (14, 9.0), VIOLET)
+    axes.add_patch(Rectangle((5.0, 14.6), 1.6, 1.3, facecolor=VIOLET))
+    axes.plot([-4, -11, -20], [16.4, 18.8, 15.6], color=GREY, linewidth=1.2)
+    axes.text(-20.5, 15.6, "sensor cable: loose loop,\nfixed 10 cm away", ha="right", va="center", fontsize=8)
+    target = np.array([0.0, 24.1])
+    for sign in (-1.0, 1.0):
+        place = np.array([sign * 9.4, 46.0])
+        axes.plot(*zip(place, target, strict=True), color=BLUE, linewidth=0.8, linestyle="--")
+        _camera(axes, place, target)
+    for x in (-3.0, 0.0, 3.0):
+        axes.plot([x, x], [24.1, 49.0], color=RED, linewidth=1.0)
+    axes.add_patch(Rectangle((-4.4, 49.0), 8.8, 3.6, facecolor="#f8d7da", edgecolor=RED))
+    axes.add_patch(Rectangle((1.6, 52.6), 1.6, 1.3, facecolor=VIOLET))
+    _note(axes, (4.4, 50.8), "laser head, with an accelerometer", (22, 52.6), RED)
+    _note(axes, (11.6, 47.5), "stereo pair, 20° to 35°", (22, 47.6), BLUE)
+    _note(axes, (3.0, 36.0), "one beam near the axis, or three for the tilts", (14, 36.0), RED)
+    axes.plot([-50, -50, 10.6], [0, 55.6, 55.6], color=GREY, linewidth=3)
+    for x in (-10.6, 10.6):
+        axes.plot([x, x], [49.4, 55.6], color=GREY, linewidth=3)
+    axes.text(-48, 52.4, "separate stand for cameras", fontsize=8, color=GREY, va="center")
+    axes.add_patch(Rectangle((-20, 22.2), 7.5, 1.6, facecolor="#111827"))
+    axes.plot([-16.2, -16.2, -42, -42], [22.2, 21.6, 21.6, 0], color=GREY, linewidth=2)
+    _note(axes, (-18, 23.8), "stationary speckle in view,\non a separate stand", (-24, 29), GREEN)
+    axes.text(0, -4.0, "floor", ha="center", color=GREY, fontsize=8)
+    return figure
+
+
+@mpl.rc_context(RC)
+def trigger_wiring() -> Figure:
+    """Draw how the trigger reaches cameras and recorders."""
+    figure, axes = new_figure(2.9)
+    _blank(axes, (0, 100), (0, 38))
+    boxes = {
+        "pulse generator": (2, 27, 20, 7, GREY),
+        "left camera": (36, 29, 17, 7, BLUE),
+        "right camera": (36, 19, 17, 7, BLUE),
+        "strobe": (36, 10, 17, 6, ORANGE),
+        "recorder 1": (78, 27, 20, 7, GREEN),
+        "recorder 2": (78, 17, 20, 7, GREEN),
+        "sine generator": (2, 1, 20, 6, GREY),
+        "amplifier": (36, 1, 17, 6, GREY),
+        "shaker": (78, 1, 20, 6, GREY),
+    }
+    for name, (x, y, wide, high, colour) in boxes.items():
+        axes.add_patch(Rectangle((x, y), wide, high, facecolor="white", edgecolor=colour, linewidth=1.6))
+        axes.text(x + wide / 2, y + high / 2, name, ha="center", va="center", fontsize=8.5)
+    for y in (32.5, 22.5, 13.0):
+        axes.plot([28, 28], [30.5, y], color=GREY, linewidth=1.3)
+        _arrow(axes, (28, y), (36, y), GREY)
+    axes.plot([22, 28], [30.5, 30.5], color=GREY, linewidth=1.3)
+    axes.text(23, 18, "trigger,\nequal cables", fontsize=7.5, color=GREY, ha="center")
+    axes.plot([53, 66], [32.5, 32.5], color=RED, linewidth=1.8)
+    axes.plot([66, 66], [20.5, 32.5], color=RED, linewidth=1.8)
+    for y in (30.5, 20.5):
+        _arrow(axes, (66, y), (78, y), RED)
+    axes.text(54, 34.0, "exposure output", fontsize=8, color=RED)
+    axes.text(67.5, 25.0, "one channel\nof each\nrecorder", fontsize=7.5, color=RED, va="center")
+    _arrow(axes, (22, 4), (36, 4), GREY)
+    _arrow(axes, (53, 4), (78, 4), GREY)
+    return figure
+
+
+def _measured(time: FloatArray, pulse: FloatArray, corner: float, ringing: float = 0.0) -> FloatArray:
+    """Return a pulse behind a low pass of first order, with ringing at its flanks."""
+    step = time[1] - time[0]
+    share = 1.0 - np.exp(-step / corner)
+    smooth = lfilter([share], [1.0, share - 1.0], pulse)
+    flanks = np.diff(pulse, prepend=pulse[0])
+    decay = np.exp(-np.arange(len(time)) * step / 25e-6) * np.sin(2 * np.pi * 60e3 * np.arange(len(time)) * step)
+    return np.asarray(smooth + ringing * np.convolve(flanks, decay)[: len(time)])
+
+
+@mpl.rc_context(RC)
+def trigger_pulses() -> Figure:
+    """Draw trigger, exposure and strobe over one frame, and three kinds of recorded edges."""
+    figure, axes = new_figure(3.1, 1, 2, width_ratios=[1.2, 1.0])
+    time = np.arange(-100e-6, 960e-6, 0.5e-6)
+    rows = (
+        ("trigger input", (0.0, 150e-6), GREY),
+        ("exposure output", (120e-6, 520e-6), RED),
+        ("strobe current", (160e-6, 220e-6), ORANGE),
+    )
+    for number, (name, (start, end), colour) in enumerate(rows):
+        level = ((time >= start) & (time < end)).astype(np.float64)
+        axes[0].plot(1e6 * time, 2.6 - 1.3 * number + level, color=colour)
+        axes[0].text(560, 3.05 - 1.3 * number, name, color=colour, fontsize=8.5, va="center")
+    axes[0].axvspan(160, 220, color=ORANGE, alpha=0.18, linewidth=0)
+    axes[0].annotate("", (120, 3.85), (0, 3.85), arrowprops={"arrowstyle": "<->", "color": GREY})
+    axes[0].text(60, 3.95, "delay", ha="center", color=GREY, fontsize=8)
+    axes[0].annotate(
+        "light only\nhere",
+        (222, 0.5),
+        (290, 0.5),
+        fontsize=8,
+        color=ORANGE,
+        va="center",
+        arrowprops={"arrowstyle": "->", "color": ORANGE},
+    )
+    axes[0].set(xlim=(-100, 960), ylim=(-0.1, 4.3), yticks=[], xlabel="time in µs", title="one frame")
+    axes[0].spines["left"].set_visible(False)
+    fine = np.arange(-60e-6, 340e-6, 0.2e-6)
+    pulse = ((fine >= 0.0) & (fine < 200e-6)).astype(np.float64)
+    cases = (
+        ("good", 1e-6, 0.0, GREEN),
+        ("slow flank: late by its time constant", 40e-6, 0.0, ORANGE),
+        ("ringing", 1e-6, 0.6, RED),
+    )
+    samples = np.arange(0, len(fine), 100)
+    for number, (name, corner, ringing, colour) in enumerate(cases):
+        shown = _measured(fine, pulse, corner, ringing) + 5.0 - 2.5 * number
+        axes[1].plot(1e6 * fine, shown, color=colour, linewidth=1.2)
+        axes[1].plot(1e6 * fine[samples], shown[samples], "o", color=colour, markersize=3)
+        axes[1].text(-58, 6.75 - 2.5 * number, name, color=colour, fontsize=8.5, va="center")
+    axes[1].set(yticks=[], xlabel="time in µs", title="recorded at 50 kHz (points)", ylim=(-0.8, 7.3))
+    axes[1].spines["left"].set_visible(False)
+    return figure
+
+
+@mpl.rc_context(RC)
+def reflections() -> Figure:
+    """Draw why a reflection moves differently from the surface, and light that avoids it."""
+    figure, axes = new_figure(2.6, 1, 3)
+    titles = ("lamp next to the camera", "the face tilts by θ", "light from the side")
+    for number, (axis, title) in enumerate(zip(axes, titles, strict=True)):
+        _blank(axis, (-9, 9), (-4.2, 12))
+        axis.set_title(title)
+        tilt = np.radians(9.0) if number == 1 else 0.0
+        along = np.array([np.cos(tilt), np.sin(tilt)])
+        for sign in (-1.0, 1.0):
+            axis.plot([0, 6 * sign * along[0]], [0, 6 * sign * along[1]], color="black", linewidth=2.5)
+        light = np.array([-3.0, 10.0]) if number < 2 else np.array([-8.2, 3.2])
+        _camera(axis, np.array([3.0, 9.0]), np.zeros(2), 1.0)
+        axis.add_patch(Circle(tuple(light), 0.7, facecolor="#fde68a", edgecolor=ORANGE))
+        _arrow(axis, tuple(light * 0.88), (0.0, 0.0), ORANGE)
+        normal = np.array([-along[1], along[0]])
+        incoming = -light / np.linalg.norm(light)
+        leaving = incoming - 2.0 * (incoming @ normal) * normal
+        end = leaving * (8.0 if number < 2 else 7.5)
+        hit = number == 0
+        _arrow(axis, (0.0, 0.0), (float(end[0]), float(end[1])), RED if hit else GREY)
+        if number == 1:
+            axis.add_patch(Arc((0, 0), 14, 14, theta1=73 - 9, theta2=73, color=GREY))
+            axis.plot([0, 2.4], [0, 8.0], color=GREY, linewidth=0.8, linestyle=":")
+    axes[0].text(
+        0,
+        -2.8,
+        "the mirror image of the lamp\nis in the camera's view",
+        ha="center",
+        va="center",
+        fontsize=8,
+        color=RED,
+    )
+    axes[1].text(
+        0, -2.8, "the reflection turns by 2θ:\nit moves unlike the speckle", ha="center", va="center", fontsize=8
+    )
+    axes[2].text(0, -2.8, "the reflection passes\nthe camera", ha="center", va="center", fontsize=8, color=GREEN)
+    return figure
+
+
+@mpl.rc_context(RC)
+def laboratory_day() -> Figure:
+    """Draw the steps of a day over time."""
+    figure, axes = new_figure(2.5)
+    steps = [
+        ("warm up", 0.0, 1.0, GREY),
+        ("calibrate cameras", 1.0, 0.5, BLUE),
+        ("at rest, known displacement", 1.5, 0.25, VIOLET),
+        ("first recording, shakercal look", 1.75, 0.25, ORANGE),
+        ("all frequencies, the first again", 2.0, 2.0, GREEN),
+        ("mount anew, repeat", 4.0, 2.0, GREEN),
+        ("calibrate cameras again", 6.0, 0.5, BLUE),
+        ("shakercal run, certificate draft", 6.5, 1.0, ORANGE),
+    ]
+    for number, (name, start, length, colour) in enumerate(steps):
+        axes.barh(-number, length, left=start, color=colour, height=0.68)
+        right = start < 4.5
+        axes.text(
+            start + length + 0.1 if right else start - 0.1,
+            -number,
+            name,
+            ha="left" if right else "right",
+            va="center",
+            fontsize=8.5,
+        )
+    axes.set(yticks=[], xlim=(0, 8), xlabel="hours after switching on")
+    axes.set_xticks(range(9), [f"{hour}:00" for hour in range(9)])
+    axes.spines["left"].set_visible(False)
+    return figure
+
+
+@mpl.rc_context(RC)
+def rolling_shutter() -> Figure:
+    """Draw when rows are exposed, and what a straight vertical line that oscillates looks like."""
+    figure, axes = new_figure(2.9, 1, 4, width_ratios=[2.1, 1, 1, 1])
+    rows, row_time = np.arange(480), 10e-6
+    for frame in range(2):
+        start = frame * 10.0
+        first, last = start + 0.5, start + 0.5 + 1e3 * row_time * rows[-1]
+        corners = [[first, 0], [first + 0.6, 0], [last + 0.6, 479], [last, 479]]
+        axes[0].add_patch(Polygon(corners, facecolor="#dbe4ee", edgecolor=BLUE))
+        axes[0].plot([start, start], [-40, 0], color=RED, linewidth=2)
+    axes[0].text(0.3, -62, "trigger", color=RED, fontsize=8, va="center")
+    axes[0].text(-0.2, 400, "row r starts\nr·row_time\nlater", fontsize=7.6, va="center")
+    axes[0].set(xlim=(-0.5, 16), ylim=(480, -90), xlabel="time in ms", ylabel="row", title="rows of two frames")
+    for axis, frequency_hz in zip(axes[1:], (50.0, 250.0, 1020.0), strict=True):
+        time = rows * row_time
+        for name, colour, place in (
+            ("all rows at once", GREY, np.zeros(480)),
+            ("rolling", RED, np.sin(2 * np.pi * frequency_hz * time)),
+        ):
+            axis.plot(place, rows, color=colour, linewidth=2.2 if colour == RED else 1.2, label=name)
+        axis.set(xlim=(-1.6, 1.6), ylim=(480, -90), xticks=[-1, 0, 1], yticks=[])
+        axis.set_title(f"{frequency_hz:g} Hz: {360 * frequency_hz * row_time * 480:.0f}°", fontsize=8.5)
+        axis.spines["left"].set_visible(False)
+    axes[2].set_xlabel("place of a vertical line, in amplitudes")
+    axes[3].legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.4, 1.0), handlelength=1.2)
+    return figure
+
+
+@mpl.rc_context(RC)
+def exposure_effects() -> Figure:
+    """Draw the loss of amplitude by the exposure, and the bias of a fit of sharp images."""
+    figure, axes = new_figure(2.8, 1, 2)
+    share = np.linspace(0.0, 1.6, 200)
+    axes[0].plot(share, np.sinc(share), color=BLUE)
+    cases = ((80, 60e-6, GREEN), (2000, 50e-6, VIOLET), (80, 3e-3, ORANGE), (300, 2e-3, RED))
+    for frequency, exposure, colour in cases:
+        at = frequency * exposure
+        text = f"{frequency} Hz, {1e6 * exposure:.0f} µs: {np.sinc(at):.4f}"
+        axes[0].plot(at, np.sinc(at), "o", color=colour, markersize=5, label=text)
+    axes[0].legend(loc="upper right", fontsize=8, handlelength=0.8)
+    axes[0].set(xlabel="f·T, frequency × exposure", ylabel="amplitude over its true value", ylim=(-0.25, 1.08))
+    axes[0].axhline(0.0, color=GREY, linewidth=0.8)
+    axes[0].set_title("sin(πfT)/(πfT), corrected")
+    turn = np.geomspace(0.02, 1.0, 100)
+    for amplitude, colour in ((0.5, GREEN), (1.5, ORANGE), (4.0, RED)):
+        bias = (0.7 * amplitude) ** 2 * (2 * np.pi * turn) ** 4 / 2880
+        shown = bias < 0.3
+        axes[1].loglog(turn[shown], 100 * bias[shown], color=colour, label=f"{amplitude:g} px")
+    axes[1].axhline(1e-3, color=GREY, linewidth=1.0, linestyle="--")
+    axes[1].text(0.98, 4e-4, "corrected above this line", fontsize=8, color=GREY, ha="right")
+    axes[1].set(xlabel="f·T", ylabel="error in %, if treated as sharp", ylim=(1e-6, 40))
+    axes[1].set_title("blur along the path, by amplitude")
+    axes[1].legend(loc="lower right")
+    return figure
+
+
+DRAWINGS = (
+    instrument_places,
+    trigger_wiring,
+    trigger_pulses,
+    reflections,
+    laboratory_day,
+    rolling_shutter,
+    exposure_effects,
+)
