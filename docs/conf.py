@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import os
 import sys
 from argparse import _SubParsersAction
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +24,11 @@ if TYPE_CHECKING:
 
 project, author, release = "shakercal", "the authors of shakercal", __version__
 copyright = author
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+NOTEBOOKS = find_spec("myst_nb") is not None  # without it, notebooks are shown without output
+extensions = ["myst_nb" if NOTEBOOKS else "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+nb_execution_mode, nb_execution_timeout, nb_execution_raise_on_error = "force", 300, True
+nb_merge_streams = True
+source_suffix = {".md": "myst-nb" if NOTEBOOKS else "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 default_role = "code"
 napoleon_google_docstring, napoleon_use_ivar = False, True
@@ -89,12 +96,32 @@ def plain_bars(app: Sphinx, kind: str, name: str, thing: object, options: object
     lines[:] = [line if "`" in line else line.replace("|", "\\|") for line in lines]
 
 
+def prepare_notebooks(app: Sphinx) -> None:
+    """Have a kernel of this Python that reports errors only; without myst-nb, show cells as code."""
+    if NOTEBOOKS:
+        folder = ROOT / "build" / "jupyter"
+        kernel = folder / "kernels" / "python3" / "kernel.json"
+        kernel.parent.mkdir(parents=True, exist_ok=True)
+        argv = [sys.executable, "-m", "ipykernel_launcher", "--log-level=ERROR", "-f", "{connection_file}"]
+        kernel.write_text(json.dumps({"argv": argv, "display_name": "Python 3", "language": "python"}))
+        os.environ["JUPYTER_PATH"] = str(folder)
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        logging.getLogger("traitlets").setLevel(logging.WARNING)
+    else:
+        from sphinx.directives.code import CodeBlock
+        from sphinx.roles import code_role
+
+        app.add_directive("code-cell", CodeBlock)
+        app.add_role("nb-download", code_role)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Write the generated page and connect the changes of pages."""
     path = Path(__file__).with_name("reference") / "commands.md"
     text = commands()
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+    prepare_notebooks(app)
     app.connect("autodoc-process-docstring", plain_bars)
     app.connect("doctree-read", lambda app, tree: links_outside(app, tree, ""))
     app.connect("doctree-read", pages_of_thumbnails)

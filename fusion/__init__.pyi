@@ -24,6 +24,8 @@ from .sensitivity.analyse import Evaluation as Evaluation
 from .sensitivity.load_phasors import LoadResult as LoadResult
 from .sensitivity.ratio import Sensitivity as Sensitivity
 from .sensitivity.recording_evaluation import evaluate_recording as evaluate_recording
+from .sensor.compare.comparison_evaluation import evaluate_comparison as evaluate_comparison
+from .sensor.compare.comparison_inputs import read_compared as read_compared
 from .sensor.compensate.compensation_evaluation import evaluate_compensation as evaluate_compensation
 from .sensor.compensate.compensation_report import read_compensation_filters as read_compensation_filters
 from .sensor.decouple.decoupling_evaluation import DecoupleSettings as DecoupleSettings

@@ -90,6 +90,24 @@ class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; poin
     points: IntArray
     origin_m: FloatArray
 
+    def about(self, origin_m: FloatArray) -> RigidMotion:
+        """Return the same motion about another origin (3,).
+
+        t' = t + (R - 1)·(o' - o). Far from the body a small error of the rotation is a large error of the translation.
+        About the body's centroid the two hardly correlate, and the translation has its smallest uncertainty.
+        """
+        origin = np.asarray(origin_m, dtype=np.float64)
+        check_shape("origin_m", origin, (3,))
+        arm = rotation_from_vector(self.pose[:, 3:]) @ (origin - self.origin_m)
+        pose = self.pose.copy()
+        pose[:, :3] += arm - (origin - self.origin_m)
+        rate = pose_rate(self.pose)
+        moved = rate.copy()
+        moved[:, :3, 3:] = -skew(arm)
+        jacobian = moved @ np.linalg.inv(rate)
+        covariance = jacobian @ self.covariance @ np.swapaxes(jacobian, 1, 2)
+        return replace(self, pose=pose, covariance=covariance, origin_m=origin)
+
 
 def fit_motion(
     points: Points3D, reference_m: FloatArray | None, origin_m: FloatArray, correlation: sparray | None = None

@@ -32,6 +32,7 @@ from .mechanics import MassChain as MassChain
 from .release.load_series import identify_loads as identify_loads
 from .release.reading import read_release as read_release
 from .release.record import StepRecord as StepRecord
+from .release.record_file import read_step_record as read_step_record
 from .release.step_fit import fit_step as fit_step
 from .sine.phasor import Phasors as Phasors
 from .sine.sine_fit import fit_sines as fit_sines

@@ -18,6 +18,7 @@ from fusion import TransferSettings as TransferSettings
 from fusion import __version__ as __version__
 from fusion import check as check
 from fusion import draft as draft
+from fusion import evaluate_comparison as evaluate_comparison
 from fusion import evaluate_compensation as evaluate_compensation
 from fusion import evaluate_decoupling as evaluate_decoupling
 from fusion import evaluate_element as evaluate_element
@@ -32,6 +33,7 @@ from fusion import load_for_command as load_for_command
 from fusion import load_manifest as load_manifest
 from fusion import look as look
 from fusion import make_plan as make_plan
+from fusion import read_compared as read_compared
 from fusion import read_compensation_filters as read_compensation_filters
 from fusion import read_decoupling_filter as read_decoupling_filter
 from fusion import read_load_models as read_load_models
@@ -100,6 +102,7 @@ from shaker import lines_of as lines_of
 from shaker import plan_at as plan_at
 from shaker import read_channels as read_channels
 from shaker import read_release as read_release
+from shaker import read_step_record as read_step_record
 from shaker import read_universal_functions as read_universal_functions
 from shaker import read_universal_shapes as read_universal_shapes
 from shaker import solve_frame as solve_frame

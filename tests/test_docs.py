@@ -85,6 +85,8 @@ def test_the_site_is_made_without_a_warning_and_asks_for_nothing(tmp_path: Path)
         addresses = re.findall(r'(?:src|href)="(https?://[^"]*)"', page.read_text(encoding="utf-8"))
         loaded = [a for a in addresses if re.search(r"\.(js|css|woff2?|png)(\?|$)", a)]
         assert loaded == [], page.name
+    output = "cell_output" in _text(tmp_path / "notebooks" / "first-result.html")
+    assert output == (importlib.util.find_spec("myst_nb") is not None)
 
 
 def test_the_published_comparison_has_its_tables_filled_and_its_pictures():

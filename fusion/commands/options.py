@@ -45,9 +45,9 @@ class Parser(argparse.ArgumentParser):
         self.value("recording", path, "RECORDING", "folder of a recording or of a campaign")
         self.allow_outside()
 
-    def recordings(self) -> None:
-        """Add the recordings that a command evaluates together."""
-        text = "folder of a campaign, or of recordings of one rig"
+    def recordings(self, others: str = "") -> None:
+        """Add the recordings that a command evaluates together; `others`: further inputs in the help."""
+        text = f"folder of a campaign, or of recordings of one rig{others}"
         self.value("recordings", path, "RECORDING", text, nargs="+")
         self.allow_outside()
 

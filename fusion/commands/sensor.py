@@ -79,7 +79,7 @@ def identify(options: argparse.Namespace) -> None:
 
 
 def _step_options(parser: Parser) -> None:
-    parser.recordings()
+    parser.recordings(", or data files of a release each, of which only poles are printed")
     text = "start of the fit: matrix pencil (default) or instrumental-variable ARX; all: compare every method"
     parser.choice("--method", ("pencil", "arx", "all"), text)
     parser.value("--modes", whole(1, 20), "N", "oscillating modes of a model (default: by rule)")
@@ -93,10 +93,14 @@ def _step_options(parser: Parser) -> None:
 @command(_step_options, "releases --method pencil")
 def step(options: argparse.Namespace) -> None:
     """Fit models of the sensor's outputs to releases of a load: modes, bands, settling."""
+    from fusion.sensor.step.step_file import is_data_file, print_poles
     from fusion.sensor.step.step_records import StepSettings
     from fusion.sensor.step.step_report import run_step
 
     settings = StepSettings(options.method, options.modes, options.real_poles, options.release)
+    if all(map(is_data_file, options.recordings)):
+        print_poles(options.recordings, settings)
+        return
     run_step(options.recordings, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 

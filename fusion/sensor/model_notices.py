@@ -366,6 +366,14 @@ NO_STEP_MODEL = DeclaredNotice(
     remedy="Check the first notice of every recording.",
     link="steps.md",
 )
+POLES_BY_ONE_METHOD = DeclaredNotice(
+    "SC-938",
+    "error",
+    "expected {expected} for a data file, found {found}",
+    effect="Methods are compared only for recordings with a manifest.",
+    remedy="Remove `--method`, or make a recording of the file.",
+    link="steps.md#poles-from-one-file",
+)
 
 
 # `shakercal decouple`.

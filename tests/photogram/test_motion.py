@@ -220,6 +220,21 @@ def test_another_reference_pose_is_a_composition():
     np.testing.assert_allclose(again.covariance[good] / scale, direct.covariance[good] / scale, atol=1e-8)
 
 
+def test_another_origin_is_that_of_a_fit_about_it():
+    reference, points = sample(6, 30, shaking(6, angle=0.4), 16)
+    position = points.position_m.copy()
+    position[4] = np.nan
+    found, centre = fit_motion(of(position, points.covariance_m2), reference, ORIGIN), reference.mean(axis=0)
+    direct = fit_motion(of(position, points.covariance_m2), reference, centre)
+    good, about = [0, 1, 2, 3, 5], found.about(centre)
+    np.testing.assert_array_equal(about.origin_m, centre)
+    np.testing.assert_allclose(about.pose[good], direct.pose[good], atol=1e-12)
+    assert np.isnan(about.pose[4]).all()
+    sigma = np.sqrt(np.diagonal(direct.covariance[good], axis1=1, axis2=2))
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    np.testing.assert_allclose(about.covariance[good] / scale, direct.covariance[good] / scale, atol=1e-8)
+
+
 @pytest.mark.parametrize("given_reference", [True, False])
 def test_noise_of_points_without_covariance_is_found_from_the_rigid_fit(given_reference):
     reference = body(60)

@@ -142,20 +142,59 @@ class ComparisonEvaluation(CommandEvaluation):
 
 def evaluate_comparison(
     results: Sequence[ComparedResult],
-    dates: Mapping[str, Date],
-    tolerance: float,
-    hashes: dict[str, str],
+    dates: Mapping[str, Date] | None = None,
+    tolerance: float = 1e-3,
+    hashes: Mapping[str, str] | None = None,
     method: ComparisonMethod = PROCEDURE_A,
 ) -> ComparisonEvaluation:
-    """Compare results by name; frequencies match within the relative `tolerance` of the lowest.
+    r"""Compare results value by value: reference value, degrees of equivalence, E_n.
 
-    Names state rounds and repeats (`Participant`). The first result belongs to the round of the reference value.
+    Parameters
+    ----------
+    results : sequence of ComparedResult
+        Of `read_compared`. Names state rounds and repeats (`Participant`). The first result belongs to the round of the
+        reference value.
+    dates : mapping of str to date, optional
+        Date of each result by its name; default: those of the files.
+    tolerance : float
+        Relative difference of the frequencies of one value, of the lowest; default 0.001.
+    hashes : mapping of str to str, optional
+        File → SHA-256, copied into the result.
+    method : ComparisonMethod
+        Reference value; default: weighted mean, procedure A.
+
+    Returns
+    -------
+    ComparisonEvaluation
+        Its `quantities` are the magnitudes and phases that several results have.
+
+    Raises
+    ------
+    InputError
+        No value can be compared, units differ, or a round is not linked.
+
+    Notes
+    -----
     Results are independent except for shared inputs with evidence (`find_shared_inputs`), and for errors that they have
-    in common by a link of rounds or a drift. Raises `InputError` if no value can be compared, if units differ, or if a
-    round is not linked.
+    in common by a link of rounds or a drift.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fusion import evaluate_comparison, read_compared
+    >>> head = "frequency_hz,channel,component,magnitude,u_magnitude,unit"
+    >>> with TemporaryDirectory() as folder:
+    ...     files = {name: Path(folder, f"{name}.csv") for name in ("own", "ptb")}
+    ...     for file, value in zip(files.values(), ("1.000", "1.002")):
+    ...         _ = file.write_text(f"{head}\n80,Fz,Fz,{value},0.001,(mV/V)/N\n")
+    ...     (magnitude,) = evaluate_comparison(read_compared(files)).quantities
+    >>> print(f"mean {magnitude.reference.value:.4f}, E_n of the pair {magnitude.normalised[1, 0]:.2f}")
+    mean 1.0010, E_n of the pair 0.71
     """
     begun = time.perf_counter()
     settings: dict[str, str | float | int] = {"tolerance": tolerance, "reference value": method.reference}
+    dates = dates or {}
     results = [_dated(result, dates) for result in results]
     first, links = _check_rounds(results, method)
     if links:
@@ -188,7 +227,7 @@ def evaluate_comparison(
             *conventions,
         ),
         settings=settings | {f"date of {name}": str(day) for name, day in dates.items()},
-        input_hashes=hashes,
+        input_hashes=dict(hashes or {}),
         duration_s=time.perf_counter() - begun,
         results=tuple(results),
         shared=tuple(acting),

@@ -23,7 +23,7 @@ from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor import result_notices as declared
-from fusion.sensor.compare.named_tables import ComparedColumns, ComparedTables, read_named_table
+from fusion.sensor.compare.named_tables import ComparedColumns, ComparedTables, read_named_table, read_tables
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
@@ -107,6 +107,35 @@ def result_files(path: Path) -> list[Path]:
     file = result_file(path)
     companion = file.with_name(COMPANION_FILES.get(file.name, file.name))
     return [file, companion] if companion != file and companion.is_file() else [file]
+
+
+def read_compared(paths: Mapping[str, str | Path], columns: str | Path | None = None) -> tuple[ComparedResult, ...]:
+    """Read the results of a comparison by name, for `evaluate_comparison`.
+
+    Parameters
+    ----------
+    paths : mapping of str to str or Path
+        Name `[ROUND/]LABORATORY[@DATE]` → folder of results, CSV table, or Digital Calibration Certificate.
+    columns : str or Path, optional
+        File that names the columns of tables with other columns, as of `shakercal compare --columns`.
+
+    Returns
+    -------
+    One result per path, in their order.
+
+    Raises
+    ------
+    InputError
+        A file cannot be compared.
+
+    Examples
+    --------
+    >>> from fusion import read_compared
+    >>> results = read_compared({"own": "campaign/results", "ptb": "ptb.csv"})  # doctest: +SKIP
+    >>> results[1].values[0].magnitude  # doctest: +SKIP
+    """
+    tables = None if columns is None else read_tables(Path(columns), paths)
+    return tuple(read_result(name, Path(path), tables) for name, path in paths.items())
 
 
 def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> ComparedResult:

@@ -26,10 +26,9 @@ from fusion.sensor.compare.comparison_evaluation import (
     ComparisonMethod,
     evaluate_comparison,
 )
-from fusion.sensor.compare.comparison_inputs import ComparedResult, read_result, result_files
+from fusion.sensor.compare.comparison_inputs import ComparedResult, read_compared, result_files
 from fusion.sensor.compare.consistency import SharedInput, list_titles
 from fusion.sensor.compare.linking import Participant
-from fusion.sensor.compare.named_tables import read_tables
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
 from shakercal._common.digits import number_text, quantity_text, signed_text, small
 
@@ -344,8 +343,7 @@ def run_compare(
         except ValueError as error:
             expected = "a day as YYYY-MM-DD"
             raise InputError(WRONG_COMPARISON_OPTION, "--date", name, found=day, expected=expected) from error
-    tables = None if columns is None else read_tables(columns, named)
-    results = [read_result(name, path, tables) for name, path in named.items()]
+    results = read_compared(named, columns)
     days = {result.name: result.date for result in results if result.date is not None} | days
     inputs_read = [file for path in named.values() for file in result_files(path)]
     inputs_read += [] if columns is None else [columns]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -78,7 +78,7 @@ class NamedTable:
     notices: tuple[Notice, ...]
 
 
-def read_tables(path: Path, names: Mapping[str, Path]) -> ComparedTables:
+def read_tables(path: Path, names: Collection[str]) -> ComparedTables:
     """Read a file of `--columns`.
 
     Raises `InputError` for errors, or for a result that is not compared.
