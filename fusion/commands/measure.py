@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from string import Formatter
 from typing import TYPE_CHECKING
 
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS, Settings, check_new_file
@@ -171,8 +172,8 @@ def simulate(options: argparse.Namespace) -> None:
         reason = str(error).partition(": ")[2]
         raise InputError(INVALID_OPTION, "shakercal simulate", "--violate", reason=reason) from error
     number = len(list(options.out.glob("*/recording.toml")))
-    unnumbered = {"files": "files of a laboratory", "targets": "images", "elastomer": "element"}
-    kind = "recording" if number == 1 else "campaign" if number else unnumbered[options.preset]
+    others = {"files": "files of a laboratory", "targets": "images", "acceptance": "rig", "elastomer": "element"}
+    kind = "recording" if number == 1 else "campaign" if number else others.get(options.preset, "files")
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
 
 
@@ -507,7 +508,7 @@ NOTICES_HEAD = """# Notices and errors
 
 Every notice and every error of the program has a code. The terminal shows code, place and one sentence;
 `shakercal explain CODE` adds effect and remedy. This page lists all of them and is made by
-`shakercal explain --markdown`. Names in braces are the values of a case; they are fields of `--json` and `result.h5`.
+`shakercal explain --markdown`. Names in angle brackets are values of a case, and fields of `--json` and `result.h5`.
 
 - **error**: the input is refused, or a result could not be computed. Nothing is written.
 - **warning**: a result may be wrong, or its U incomplete.
@@ -517,6 +518,10 @@ Every notice and every error of the program has a code. The terminal shows code,
 A laboratory acknowledges a warning or note in `recording.toml` with `[[acknowledged]]` (see
 [the manifest](recording-format.md)), unless it says *cannot be acknowledged*.
 """
+
+
+REFUSED = "The input is refused, and no result is written."
+"""Effect of an error that declares none."""
 
 
 def _explain_options(parser: Parser) -> None:
@@ -547,11 +552,18 @@ def explain(options: argparse.Namespace) -> int:
 def explanation(title: str, notice: DeclaredNotice) -> Iterator[str]:
     """Yield the parts of a notice, one line each."""
     yield f"{notice.code} ({notice.severity}): {title}"
-    parts = {"sentence": notice.template, "effect": notice.effect, "possible size": notice.possible_size}
+    effect = notice.effect or (REFUSED if notice.severity == "error" else "")
+    parts = {"sentence": notice.template, "effect": effect, "possible size": notice.possible_size}
     parts |= {"remedy": notice.remedy, "more": notice.link and f"docs/{notice.link}"}
-    yield from (f"  {name}: {text}" for name, text in parts.items() if text)
+    yield from (f"  {name}: {with_field_names(text)}" for name, text in parts.items() if text)
     if not notice.can_be_acknowledged and notice.severity != "error":
         yield "  cannot be acknowledged in a manifest"
+
+
+def with_field_names(template: str) -> str:
+    """Return a declared text with its fields as names in angle brackets."""
+    parts = Formatter().parse(template)
+    return "".join(text + ("" if name is None else f"<{name}>") for text, name, _, _ in parts)
 
 
 def notices_page() -> str:
@@ -570,7 +582,8 @@ def notices_page() -> str:
                 f"{one.effect}{size}".strip(),
                 f"{one.remedy}{more}".strip(),
             )
-            lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells) + " |")
+            named = (with_field_names(cell).replace("|", "\\|").replace("<", "&lt;") for cell in cells)
+            lines.append(f"| {' | '.join(named)} |")
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
 

@@ -175,6 +175,7 @@ UNCERTAINTIES_MISSING = DeclaredNotice(
     "SC-271",
     "note",
     "The file has no uncertainties.",
+    effect="The calibration counts as exact.",
     remedy="State `scale_uncertainty` under `[stereo.NAME]` in rig.toml.",
     link="cameras.md#calibrations-of-other-programs",
 )

@@ -69,6 +69,10 @@ def test_explain_prints_every_part_and_refuses_other_codes(capsys) -> None:
     assert main(["explain", NO_RESULT_AT_LINES.code.lower()]) == EXIT_DONE
     text = capsys.readouterr().out
     assert all(part in text for part in (NO_RESULT_AT_LINES.code, NO_RESULT_AT_LINES.remedy))
+    assert main(["explain", "SC-464"]) == EXIT_DONE
+    text = capsys.readouterr().out
+    assert "<chi2>" in text
+    assert "{" not in text
     assert main(["explain"]) == EXIT_DONE
     assert len(capsys.readouterr().out.splitlines()) == len(declared_notices())
     assert main(["explain", "SC-1"]) == EXIT_INPUT

@@ -57,6 +57,7 @@ from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.values import SensorOfCamera
 from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
+from fusion.sensitivity.moving_body import moving_parts
 from photogram.camera import StereoRig
 from photogram.images.sensor_pattern import stated_pattern
 from shaker.timebase.trigger import TriggerFit
@@ -281,12 +282,12 @@ def _expected(
 ) -> Iterator[ExpectedUncertainty]:
     """Yield the expected uncertainty of the driven component's sensitivity, line by line.
 
-    Relative variances: of the output (noise and scale), of the load mass, and of the driven acceleration. Instruments
-    are weighted by their inverse variance. Lines are those of `plan`'s formula, u = √(2/F)·σ for F frames. Poses,
+    Relative variances: of the output (noise and scale), of all moving masses, and of the driven acceleration.
+    Instruments are weighted by their inverse variance. Lines are those of `plan`'s formula, u = √(2/F)·σ for F frames. Poses,
     positions and directions are omitted: small angles have little effect along the driven direction.
     """
-    driven, load = np.asarray(block.excitation.direction or ()), block.rig.load
-    if len(driven) != 3 or load is None:
+    driven, moving = np.asarray(block.excitation.direction or ()), moving_parts(block.rig, block.part)
+    if len(driven) != 3 or not moving:
         return
     component = ("Fx", "Fy", "Fz")[int(np.argmax(np.abs(driven)))]
     for frequency in block.excitation.frequencies or ():
@@ -314,11 +315,10 @@ def _expected(
                 )
         if output is None or not shared:
             continue
-        whole = sum(part.true_mass for part in block.part if part.body == "load") + load.true_mass
         shares = {
             "acceleration": 1 / sum(shared.values()),
             "output": output.u_relative**2 + output.entry.scale_uncertainty**2 + output.entry.individual_uncertainty**2,
-            "mass": (load.mass_uncertainty / whole) ** 2,
+            "mass": sum(part.u_mass_kg**2 for part in moving) / sum(part.mass_kg for part in moving) ** 2,
         }
         U = K2 * float(np.sqrt(sum(shares.values())))
         named_shares = tuple((name, K2 * float(np.sqrt(variance))) for name, variance in shares.items())
