@@ -283,8 +283,8 @@ def _expected(
     """Yield the expected uncertainty of the driven component's sensitivity, line by line.
 
     Relative variances: of the output (noise and scale), of all moving masses, and of the driven acceleration.
-    Instruments are weighted by their inverse variance. Lines are those of `plan`'s formula, u = √(2/F)·σ for F frames. Poses,
-    positions and directions are omitted: small angles have little effect along the driven direction.
+    Instruments are weighted by their inverse variance. Lines are those of `plan`'s formula, u = √(2/F)·σ for F
+    frames. Poses, positions and directions are omitted: small angles have little effect along the driven direction.
     """
     driven, moving = np.asarray(block.excitation.direction or ()), moving_parts(block.rig, block.part)
     if len(driven) != 3 or not moving:
