@@ -1,6 +1,6 @@
 """Many lines in one recording: coverage, and U against recordings of one line each.
 
-    python benchmarks/many_lines.py [--draws 24] [--fits 400] [--seed 1] [--only fits recordings]
+    python benchmarks/many_lines.py [--draws 20] [--fits 400] [--only fits recordings] [--write PAGE]
 
 Recordings: the preset `multisine` with every stated error drawn, evaluated by `evaluate_recording`, against the true
 sensitivity; in addition recordings of one line with the same rig, of the same length or a fortieth of it, with the peak
@@ -13,11 +13,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from coverage_statistics import Tally
+from marked import markdown_table, write_marked
 
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.multisine import BAND_HZ, LINES, PEAK_MPS2, many_lines, rocking_motion
@@ -37,12 +39,13 @@ SINGLES = (0, 13, 26, 39)
 FRAMES = (640, 200, 128, 98)
 DISTANCES = (2.0, 1.0, 0.7, 0.5, 0.4, 0.3, 0.1)
 """Of two aliases, in bins."""
+FIT_HEADS = "covered | errors / u (rms) | u over that of one line"
 NOISE = 1e-3  # of the amplitude of a line, per frame
 
 
 @dataclass
 class Recorded:
-    """Lines of recordings: U of magnitude (relative) and phase of the sensitivity, u of the cameras alone, errors."""
+    """U of magnitude (relative) and phase, u of the cameras alone, and errors, of recordings."""
 
     expanded: list[list[tuple[float, float]]] = field(default_factory=list)
     camera: list[FloatArray] = field(default_factory=list)
@@ -80,16 +83,15 @@ def single_run(many: Run, line: int, frames: int, amplitude: float) -> Run:
     return Run(f"one line, {frequency_hz:.1f} Hz", alone, (many.nominal_hz[line],))
 
 
-def recordings(draws: int, seed: int) -> Iterator[str]:
-    """Yield the tables of recordings."""
+def recordings(draws: int, seed: int) -> Iterator[tuple[str, str]]:
+    """Yield the tables of recordings with their names."""
     preset = read_preset(Preset, "multisine")
     many = multisine_run(preset)
     amplitude = float(np.abs(many_lines(preset.camera_rate_hz, preset.frames)[1][0, 2]))
     whole = Recorded()
     whole.add(many, seed)
     heads = "same length and amplitude | same length and peak | same total time and peak"
-    yield f"| line / Hz | 40 lines: U; u of the cameras alone | over one line: {heads} |"
-    yield "|---|---|---|---|---|"
+    table = []
     for line in SINGLES:
         u, phase = whole.expanded[0][line]
         camera = float(whole.camera[0][line])
@@ -100,23 +102,29 @@ def recordings(draws: int, seed: int) -> Iterator[str]:
             alone.add(single_run(many, line, count, size), seed)
             ((u_alone, phase_alone),) = alone.expanded[0]
             cells.append(f"{u / u_alone:.2f}, {phase / phase_alone:.2f}; {camera / alone.camera[0][0]:.2f}")
-        yield "| " + " | ".join(cells) + " |"
-    yield ""
+        table.append("| " + " | ".join(cells) + " |")
+    yield (
+        "single lines",
+        markdown_table(f"| line / Hz | 40 lines: U; u of the cameras alone | over one line: {heads} |", table),
+    )
     for number in range(seed + 1, seed + draws):
         whole.add(many, number)
         print(f"draw {number}: {[t.covered.mean().round(4) for t in (whole.sensitivity, whole.motion)]}", flush=True)
-    yield "| quantity | lines × draws | covered | errors / u (rms) | largest error / u | U / half-width of the errors |"
-    yield "|---|---|---|---|---|---|"
+    table = []
     for name, tally in (("sensitivity Fz", whole.sensitivity), ("acceleration z, cameras alone", whole.motion)):
         errors = tally.normalised
-        yield (
+        table.append(
             f"| {name} | {LINES} × {draws} | {100 * tally.covered.mean():.1f} % | {np.sqrt(np.mean(errors**2)):.2f} | "
             f"{np.abs(errors).max():.1f} | {tally.expanded_over_errors:.2f} |"
         )
+    head = (
+        "| quantity | lines × draws | covered | errors / u (rms) | largest error / u | U / half-width of the errors |"
+    )
+    yield "coverage", markdown_table(head, table)
 
 
 def fitted(frequency_hz: FloatArray, frames: int, fits: int, seed: int, look: slice) -> tuple[float, float, float]:
-    """Return coverage of 95 % regions, u over that of one line alone, and errors over u, of some lines."""
+    """Return coverage, u over that of one line, and errors over u."""
     rng = np.random.default_rng([seed, frames])
     time_s = np.arange(frames) / RATE_HZ
     covered, errors, sizes = [], [], []
@@ -143,18 +151,16 @@ def _chance(squares: FloatArray, dof: FloatArray) -> FloatArray:
     return np.asarray(f.cdf(squares * (dof - 1.0) / (2.0 * dof), 2, dof - 1.0))
 
 
-def fit_rows(fits: int, seed: int) -> Iterator[str]:
-    """Yield the tables of fits."""
-    yield "| frames | unknowns | covered | errors / u (rms) | u over that of one line |"
-    yield "|---|---|---|---|---|"
+def fit_tables(fits: int, seed: int) -> Iterator[tuple[str, str]]:
+    """Yield the tables of fits with their names."""
+    table = []
     target = np.geomspace(*BAND_HZ, LINES)
     for frames in FRAMES:
         grid = place_lines(target, RATE_HZ, frames)
         covered, size, errors = fitted(grid.frequency_hz, grid.frames, max(fits // 10, 10), seed, slice(None))
-        yield f"| {grid.frames} | {2 * LINES + 1} | {100 * covered:.1f} % | {errors:.2f} | {size:.2f} |"
-    yield ""
-    yield "| distance of aliases / bins | result of a run | covered | errors / u (rms) | u over that of one line |"
-    yield "|---|---|---|---|---|"
+        table.append(f"| {grid.frames} | {2 * LINES + 1} | {100 * covered:.1f} % | {errors:.2f} | {size:.2f} |")
+    yield "few frames", markdown_table(f"| frames | unknowns | {FIT_HEADS} |", table)
+    table = []
     frames = FRAMES[0]
     grid = place_lines(target, RATE_HZ, frames)
     for distance in DISTANCES:
@@ -165,27 +171,29 @@ def fit_rows(fits: int, seed: int) -> Iterator[str]:
         order = np.concatenate([[0, 20], np.delete(np.arange(LINES), [0, 20])])
         usable, _ = usable_lines(np.arange(grid.frames) / RATE_HZ, frequency_hz[order])
         if not usable.all():
-            yield f"| {distance:g} | one line dropped and named | | | |"
+            table.append(f"| {distance:g} | one line dropped and named | | | |")
             continue
         covered, size, errors = fitted(frequency_hz[order], grid.frames, fits, seed, slice(0, 2))
-        yield f"| {distance:g} | both lines | {100 * covered:.1f} % | {errors:.2f} | {size:.2f} |"
+        table.append(f"| {distance:g} | both lines | {100 * covered:.1f} % | {errors:.2f} | {size:.2f} |")
+    yield "close aliases", markdown_table(f"| distance of aliases / bins | result of a run | {FIT_HEADS} |", table)
 
 
-def main(draws: int, fits: int, seed: int, only: list[str]) -> None:
-    """Print the tables."""
-    if "fits" in only:
-        for row in fit_rows(fits, seed):
-            print(row, flush=True)
-    if "recordings" in only:
-        for row in recordings(draws, seed):
-            print(row, flush=True)
+def main(draws: int, fits: int, seed: int, only: list[str], page: Path | None) -> None:
+    """Print the tables, and write them into a page."""
+    made = [fit_tables(fits, seed)] if "fits" in only else []
+    made += [recordings(draws, seed)] if "recordings" in only else []
+    for name, table in chain.from_iterable(made):
+        print(f"{name}\n\n{table}\n", flush=True)
+        if page is not None:
+            write_marked(page, {name: table})
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=24)
+    parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--fits", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=["fits", "recordings"], choices=["fits", "recordings"])
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the tables in a page")
     options = parser.parse_args()
-    main(options.draws, options.fits, options.seed, options.only)
+    main(options.draws, options.fits, options.seed, options.only, options.write)

@@ -1,4 +1,4 @@
-"""`shakercal plan --lines`: a multisine that gives a whole curve from one recording of a slow camera."""
+"""`shakercal plan --lines`: a multisine for a whole curve from one recording."""
 
 from __future__ import annotations
 
@@ -77,12 +77,15 @@ class MultisinePlan:
 
     @property
     def single_frames(self) -> float:
-        """Frames of each of as many recordings of one line, in the same total time; at most 0 if pauses fill it."""
+        """Frames of each of as many recordings of one line, in the same total time.
+
+        It is not positive if the pauses fill this time.
+        """
         lines, settle_s = len(self.acceleration_mps2), self.request.settle_s
         return self.grid.rate_hz * ((self.at_rate.duration_s + settle_s) / lines - settle_s)
 
     def over_single(self, frames: float) -> FloatArray:
-        """Return u (K,) over that of a recording of one line with the same peak and this number of frames.
+        """Return u (K,) over that of one line with the same peak and these frames.
 
         For well separated lines u is √(2/frames·(1 + corner/alias)) over the gain.
         """
@@ -129,12 +132,12 @@ def rates_below(highest_hz: float, step_hz: float) -> tuple[float, ...]:
 
 
 def multisine_csv(plan: MultisinePlan) -> str:
-    """Return the lines as a table for a generator: frequency, amplitude and phase first."""
+    """Return the lines as a table for a generator."""
     return csv_text(_columns(plan), range(len(plan.acceleration_mps2)))
 
 
 def _columns(plan: MultisinePlan) -> list[TableColumn[int]]:
-    """Return the columns of lines; a file has those with a name, the terminal those with a head."""
+    """Return the columns of lines, for the file and the terminal."""
     at_rate, relative, distance = plan.at_rate, plan.relative, plan.at_rate.distance_hz / plan.at_rate.resolution_hz
     same_time = plan.over_single(plan.single_frames) if plan.single_frames >= 1.0 else None
     same_length = plan.over_single(plan.grid.frames)
@@ -207,9 +210,10 @@ def _single_lines(plan: MultisinePlan) -> Sequence[str]:
     lines, total_s = plan.request.lines, plan.at_rate.duration_s + plan.request.settle_s
     if plan.single_frames < 1.0:
         text = f"The pauses before {lines} recordings of one line take longer than the multisine"
-        return [f"{text} with its own ({total_s:.1f} s)"]
+        return [f"{text} with its pause ({total_s:.1f} s)"]
     ratio = plan.over_single(plan.single_frames)
+    ends = " to ".join(sorted({f"{value:.2f}" for value in (ratio.min(), ratio.max())}, key=float))
     return [
         f"{lines} recordings of one line with the same peak, {plan.single_frames:.1f} frames each, take the same "
-        f"{total_s:.1f} s: the noise of the multisine is {ratio.min():.2f} to {ratio.max():.2f} times theirs"
+        f"{total_s:.1f} s: the noise of the multisine is {ends} times theirs"
     ]

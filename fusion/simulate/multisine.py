@@ -33,7 +33,7 @@ def rocking_motion(frequency_hz: FloatArray, axial: ComplexArray) -> ComplexArra
 def many_lines(
     rate_hz: float, frames: int, lines: int = LINES, peak_mps2: float = PEAK_MPS2
 ) -> tuple[LineGrid, ComplexArray]:
-    """Return the grid of the lines and the motion (K, 6) of a multisine with this peak acceleration."""
+    """Return lines and motion (K, 6) of a multisine with this peak acceleration."""
     grid = place_lines(np.geomspace(*BAND_HZ, lines), rate_hz, frames)
     equal = np.ones(lines)
     phase_rad = small_crest_phases(grid.numbers, equal)

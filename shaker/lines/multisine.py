@@ -1,4 +1,4 @@
-"""Multisines for one recording of many lines: frequencies on a common grid, and phases of small crest factor."""
+"""Multisines of small peak, with lines on a grid that a slow camera resolves."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class LineGrid(Arrays, shapes="numbers K"):
 
 
 def place_lines(target_hz: FloatArray, rate_hz: float, frames: int) -> LineGrid:
-    """Move target frequencies (K,) onto a grid on which a slow camera resolves all of them.
+    """Move target frequencies (K,) onto a grid that a slow camera resolves.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _free_aliases(period: int, odd: bool, shares: tuple[float, float]) -> IntArr
 def _choose(
     target: FloatArray, period: int, odd: bool, shares: tuple[float, float], farthest: float = _FARTHEST
 ) -> IntArray | None:
-    """Return the multiples nearest to ascending targets with distinct aliases, None if one is too far."""
+    """Return multiples near ascending targets with distinct aliases, None if one is too far."""
     free = np.zeros(period // 2 + 1, dtype=np.bool_)
     free[_free_aliases(period, odd, shares)] = True
     distance = np.diff(target)
@@ -144,7 +144,7 @@ def _choose(
 
 
 def _collides(number: int, others: IntArray) -> bool:
-    """Return whether a new line is a product 3f or 2f₁ ± f₂ of others, or has such a product on one of them."""
+    """Return whether a line would be a product 3f or 2f₁ ± f₂ of others."""
     if not len(others):
         return False
     twice = np.abs(np.add.outer(2 * others, np.concatenate([others, -others])))
@@ -155,7 +155,7 @@ def _collides(number: int, others: IntArray) -> bool:
 
 
 def products_on_lines(numbers: IntArray, order: int, period: int = 0) -> int:
-    """Return how many lines coincide with a product of second or third order of the lines.
+    """Return how many lines coincide with products of second or third order.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A whole curve from one recording: 40 lines at once, against the truth of the simulation."""
+"""A whole curve from one recording of 40 lines, against the simulated truth."""
 
 from __future__ import annotations
 

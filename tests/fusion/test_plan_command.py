@@ -164,10 +164,7 @@ MANY = "--lines 12 --band 60:900 --frames 300 --max-rate 53"
 
 
 def test_a_multisine_is_played_from_its_table(planned: Planned, tmp_path: Path) -> None:
-    out = planned(f"{MANY} --peak 60 --noise 2e-7", "--csv", tmp_path / "multisine.csv")
-    assert "crest factor" in out
-    assert "condition number of the fit 1.0" in out
-    assert "second order meet 0 of 12 lines at their frequencies, and 0 at the camera" in out
+    planned(f"{MANY} --peak 60 --noise 2e-7", "--csv", tmp_path / "multisine.csv")
     lines = rows(tmp_path / "multisine.csv")
     frequency, amplitude, phase = (
         np.array([float(line[name]) for line in lines]) for name in ("frequency_hz", "acceleration_mps2", "phase_rad")
@@ -194,6 +191,7 @@ def test_predicted_u_is_the_scatter_of_fits() -> None:
     names = [str(c) for c in range(400)]
     found = fit_sines(time_s, values, frequency, names, names).phasors.value
     scatter = np.sqrt(np.mean(np.abs(found - moved[:, None]) ** 2, axis=1) / 2.0) / np.abs(moved)
+    assert plan.at_rate.condition == pytest.approx(1.0, abs=1e-6)
     assert plan.relative == pytest.approx(scatter, rel=0.1)
     assert plan.over_single(plan.single_frames) == pytest.approx(plan.crest / np.sqrt(2.0), rel=0.02)
 

@@ -1,4 +1,4 @@
-"""Multisines: lines that a slow camera resolves, products of a nonlinear rig, and phases of small peaks."""
+"""Multisines: lines that a slow camera resolves, their products, and small peaks."""
 
 from itertools import product
 
