@@ -1,6 +1,6 @@
 """Many lines in one recording: coverage, and U against recordings of one line each.
 
-    python benchmarks/many_lines.py [--draws 28] [--fits 400] [--only fits recordings] [--write PAGE]
+    python benchmarks/many_lines.py [--draws 27] [--fits 400] [--only fits recordings] [--write PAGE]
 
 Recordings: the preset `multisine` with every stated error drawn, evaluated by `evaluate_recording`, against the true
 sensitivity; in addition recordings of one line with the same rig, of the same length or a fortieth of it, with the peak
@@ -190,7 +190,7 @@ def main(draws: int, fits: int, seed: int, only: list[str], page: Path | None) -
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=28)
+    parser.add_argument("--draws", type=int, default=27)
     parser.add_argument("--fits", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=["fits", "recordings"], choices=["fits", "recordings"])
