@@ -22,17 +22,15 @@ from fusion.commands.options import (
     command,
     count,
     draws,
-    frequencies,
     hertz,
-    not_negative,
     page,
     path,
     percent,
-    positive,
     radius,
     seed,
     whole,
 )
+from fusion.commands.plan import plan, print_rows
 from fusion.errors import (
     CONFLICTING_OPTIONS,
     INVALID_OPTION,
@@ -52,83 +50,6 @@ if TYPE_CHECKING:
     from shakercal._common.notices import DeclaredNotice
 
 log = logging.getLogger("shakercal")
-MOST_FRAMES = 1_000_000
-
-
-def _plan_options(parser: Parser) -> None:
-    text = (
-        "excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
-        "ratios), separated by commas"
-    )
-    parser.value("--frequencies", frequencies, "LIST", text)
-    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), help="frames per point")
-    rate = parser.add_mutually_exclusive_group()
-    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="highest camera rate to consider")
-    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain the effect of this camera rate instead")
-    parser.value("--min-rate", hertz, "HZ", "lowest camera rate (default: half the highest)")
-    parser.value("--rate-step", hertz, "HZ", "steps of rates (default: 0.001)", default=1e-3)
-    parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
-    parser.value("--harmonics", whole(1, 100), "N", "fitted, 1: fundamental (default: 5)", default=5)
-    parser.switch("--together", "all excitations at the same time")
-    parser.value("--corner", not_negative, "HZ", "1/f noise equals white noise there (default: 5)", default=5.0)
-    text = "relative accuracy of excitation and camera rate (default: 0.0001)"
-    parser.value("--tolerance", not_negative, "SHARE", text, default=1e-4)
-    parser.value("--noise", positive, "M", "noise of the displacement per frame")
-    level = parser.add_mutually_exclusive_group()
-    level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
-    level.add_argument("--acceleration", type=positive, metavar="M/S2", help="acceleration amplitude of the excitation")
-    parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
-    text = "field of view, depth of field and noise of a stereo pair from its data sheet (docs/practice.md)"
-    parser.value("--setup", path, "SETUP.toml", text)
-    parser.set_defaults(usage_error=parser.error)
-    parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
-
-
-@command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
-def plan(options: argparse.Namespace) -> None:
-    """Find camera rates with separate aliases of excitation and harmonics."""
-    from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
-    from fusion.report.atomic_files import write_atomically
-    from shaker.lines.rate_planner import Sampling
-
-    if options.setup is not None:
-        from fusion.planning.camera_setup import print_setup, read_setup
-
-        print_setup(read_setup(options.setup))
-        if options.frequencies is None:
-            return
-    missing = [f"--{name}" for name in ("frequencies", "frames") if getattr(options, name) is None]
-    if missing:
-        options.usage_error(f"the following arguments are required: {', '.join(missing)}")
-    if options.rate is None and options.max_rate is None:
-        options.usage_error("one of the arguments --max-rate --rate is required")
-    for file in filter(None, (options.figure, options.csv)):
-        check_new_file(file, force=options.force)
-    if options.rate is not None and options.min_rate is not None:
-        raise InputError(CONFLICTING_OPTIONS, "--min-rate", found="--rate", expected="--max-rate with it")
-    limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
-    request = Request(
-        frequency_hz=options.frequencies,
-        sampling=Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance),
-        together=options.together,
-        rate_hz=options.rate,
-        # 20 % to either side of an explained rate
-        limits_hz=limits_hz if options.rate is None else (0.8 * options.rate, 1.2 * options.rate),
-        rate_step_hz=options.rate_step,
-        settle_s=options.settle,
-        size=MotionSize(options.noise, options.amplitude, options.acceleration),
-    )
-    made = make_plan(request)
-    if options.csv:
-        write_atomically(options.csv, plan_csv(made))
-    if options.figure:
-        from fusion.planning.plan_figures import draw_plan
-
-        write_atomically(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
-    if options.json:
-        _print_rows("plan", plan_csv(made))
-    else:
-        print_plan(made)
 
 
 def _simulate_options(parser: Parser) -> None:
@@ -137,12 +58,11 @@ def _simulate_options(parser: Parser) -> None:
     parser.value("out", path, "OUT", "campaign folder to create")
     text = (
         "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
-        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; files: a laboratory's files without "
-        "manifests, for shakercal init; targets: a camera calibration; acceptance: a rig for shakercal accept; "
-        "chirp: a recording for shakercal "
-        "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
-        "rotate; steps: one for shakercal step; loads: one for shakercal load; elastomer: a geometry for shakercal "
-        "elastomer"
+        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; multisine: 40 lines at once; files: a "
+        "laboratory's files without manifests, for shakercal init; targets: a camera calibration; acceptance: a rig for "
+        "shakercal accept; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads for "
+        "shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; loads: one for "
+        "shakercal load; elastomer: a geometry for shakercal elastomer"
     )
     parser.choice("--preset", PRESETS, text)
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
@@ -327,17 +247,9 @@ def lines(options: argparse.Namespace) -> None:
 
         write_atomically(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
     if options.json:
-        _print_rows("lines", lines_csv(lists))
+        print_rows("lines", lines_csv(lists))
     else:
         print_lines(lists)
-
-
-def _print_rows(name: str, text: str) -> None:
-    """Print a table as JSON."""
-    from fusion.report.folder import command_json
-    from fusion.report.table import csv_rows
-
-    print(command_json(name, rows=csv_rows(text)))
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:

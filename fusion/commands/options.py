@@ -172,6 +172,7 @@ def whole(minimum: int, maximum: int) -> Callable[[str], int]:
 count = whole(1, 1000)
 seed = whole(0, 2**63 - 1)
 radius = _number(int, lambda value: 4 <= value <= 100, "4 to 100 pixels")
+exponent = _number(float, lambda value: -4 <= value <= 4, "an exponent from -4 to 4")
 draws = _number(int, lambda value: FEWEST_DRAWS <= value <= MOST_DRAWS, f"{FEWEST_DRAWS} to {MOST_DRAWS} draws")
 
 

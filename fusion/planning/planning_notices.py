@@ -26,6 +26,14 @@ TOO_FEW_FRAMES = DeclaredNotice(
     remedy="Use more `--frames` or fewer `--harmonics`.",
     link="planning.md#reading-the-table",
 )
+MULTISINE_FRAMES = DeclaredNotice(
+    "SC-956",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The frames cannot resolve all lines.",
+    remedy="Use more `--frames`, fewer `--lines`, or a band with a higher lower end.",
+    link="many-lines.md",
+)
 RATE_LIMITS = DeclaredNotice(
     "SC-803",
     "error",

@@ -169,11 +169,40 @@ Facts: TypeAlias = dict[str, Callable[[R], str]]
 """Texts about an item, by the name of the row."""
 
 
+MANY_LINES = 6
+"""Driven lines from which on the curve over frequency is the main result of a recording."""
+
+
+def curve_lines(evaluation: Evaluation) -> list[int]:
+    """Return the indices of the driven lines with a value of the driven element."""
+    main, at = main_result(evaluation), (driven_channel(evaluation), driven_component(evaluation))
+    if main is None:
+        return []
+    found = main[0]
+    return [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(found.value[k, *at])]
+
+
+def _curve_headlines(evaluation: Evaluation, found: Sensitivity) -> Iterator[Headline]:
+    """Yield the range of U over the lines of a curve."""
+    lines, at = curve_lines(evaluation), (driven_channel(evaluation), driven_component(evaluation))
+    if len(lines) < MANY_LINES:
+        return
+    points = [sensitivity_element(found, k, *at) for k in lines]
+    relative = [100.0 * point.expanded_magnitude / point.magnitude for point in points]
+    first, last = (number_text(float(found.frequency_hz[k]), 4) for k in (lines[0], lines[-1]))
+    element = f"output {found.channels[at[0]]} per load {LOAD_COMPONENTS[at[1]]}"
+    label = f"Sensitivity, {element}, {len(lines)} lines from {first} to {last} Hz"
+    turns = [1e3 * point.expanded_phase_rad for point in points]
+    remark = f"U of the phase: {number_text(min(turns), 2)} to {number_text(max(turns), 2)} mrad"
+    yield Headline(label, f"U = {number_text(min(relative), 2)} to {number_text(max(relative), 2)} %", remark)
+
+
 def headlines(evaluation: Evaluation) -> list[Headline]:
     """Return the main results: sensitivity, phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
     main = main_result(evaluation)
     found = [] if main is None else _sensitivity_headlines(evaluation, main[0], line)
+    found = [*_curve_headlines(evaluation, main[0]), *found] if main is not None else found
     moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
     for result, label in zip((moved, evaluation.load), labels, strict=True):

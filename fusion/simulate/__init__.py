@@ -12,7 +12,7 @@ from fusion.errors import InputError
 from fusion.report.atomic_files import write_together
 from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 
-RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
+RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "multisine", "matrix")
 """Presets of sines, with the switches of `SimulationOptions`."""
 GRAVITY_TESTS = ("rotation", "orientations")
 CHIRPS = ("chirp", "masses", "pitching")

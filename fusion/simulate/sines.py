@@ -1,7 +1,8 @@
 """Simulated recordings of sines: one rendered (`demo`, `nitsche2018`), and campaigns.
 
 `sweep`: the campaign of the published sensitivity curve, twelve frequencies, two mountings, two recordings of each.
-`matrix`: the campaign for all 36 sensitivities, axial, transverse and with a mass on an arm of a cross.
+`multisine`: 40 lines at once. `matrix`: the campaign for all 36 sensitivities, axial, transverse and with a mass on an
+arm of a cross.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
 from fusion.report.atomic_files import write_file, write_files
+from fusion.simulate.multisine import many_lines, rocking_motion
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -334,9 +336,6 @@ STEPS = (1, 2, 3, 5, 7, 9, 11, 13, 14, 15, 17, 19)
 """All frequencies are multiples of 53.7 Hz; the publication names the 1st, the 7th (rocking) and the 19th."""
 MOUNTINGS = ("1", "2")
 FREQUENCY_ERROR = 2.4e-6
-ROCKING_HZ = 7 * STEP_HZ
-_ROCKING_DAMPING = 0.03
-_ROCKING_PER_M = ((0.022, 2.1), (0.034, -0.4))  # angular over linear acceleration far below resonance, about x and y
 _BEATS = (0.27, 0.33)  # cycles that a line may advance from frame to frame beyond whole ones
 
 MULTIPLES = (8, 17, 31)
@@ -380,6 +379,8 @@ def runs(preset: str) -> tuple[Run, ...]:
     if preset == "sweep":
         variants = [(step, mounting, repeat) for step in STEPS for mounting in MOUNTINGS for repeat in (1, 2)]
         return tuple(_sweep_run(*variant) for variant in variants)
+    if preset == "multisine":
+        return (multisine_run(read_preset(Preset, preset)),)
     if preset == "matrix":
         return tuple(_matrix_run(number, axis, arm) for number, (axis, arm) in enumerate(SETUPS, 1))
     return (rendered_run(read_preset(Preset, preset)),)
@@ -528,27 +529,28 @@ def camera_rate(preset: Preset, frequency_hz: float) -> float:
 def _sweep_run(step: int, mounting: str, repeat: int) -> Run:
     """Return one recording of the sweep.
 
-    The body rocks as an oscillator at 375.9 Hz, excited by the axial motion: α = a·c/(1 − η² + 2jζη). Every recording
-    starts at another moment, with an amplitude within 1 %.
+    Every recording starts at another moment, with an amplitude within 1 %.
     """
     nominal = round(step * STEP_HZ, 1)
     rng = np.random.default_rng((step, int(mounting), repeat))
     turn = np.exp(2j * np.pi * rng.uniform(size=2))
     axial = DRIVE_MPS2 * (1 + 0.01 * rng.uniform(-1, 1)) * np.array([1.0, 0.004]) * turn
-    ratio = nominal * np.array([1.0, 2.0]) / ROCKING_HZ
-    resonance = 1 / (1 - ratio**2 + 2j * _ROCKING_DAMPING * ratio)
-    motion = np.zeros((2, 6), dtype=np.complex128)
-    motion[:, 2] = axial
-    for axis, (size, phase) in enumerate(_ROCKING_PER_M, 3):
-        motion[:, axis] = axial * resonance * size * np.exp(1j * phase)
-    side = np.array([0.004, 0.003, 0.02])  # x, y, and the turn about z in rad/m
-    motion[:, [0, 1, 5]] = axial[:, None] * side * np.exp(1j * np.array([0.7, -1.9, 2.4]))
+    motion = rocking_motion(nominal * np.array([1.0, 2.0]), axial)
     rig = read_preset(Preset, "sweep")
     rig = replace(rig, camera_rate_hz=camera_rate(rig, nominal))
     name = f"Fz-{nominal:06.1f}-{mounting}{'ab'[repeat - 1]}"
     preset = driven(rig, name, nominal * (1 + FREQUENCY_ERROR), motion)
     title = f"Fz {nominal:g} Hz, mounting {mounting}, recording {repeat}, simulated"
     return Run(title, preset, (nominal,), mounting=mounting)
+
+
+def multisine_run(preset: Preset) -> Run:
+    """Return one recording of 40 lines with the rates of a preset."""
+    grid, motion = many_lines(preset.camera_rate_hz, preset.frames)
+    numbers, spacing_hz = grid.numbers.tolist(), grid.spacing_hz * (1 + FREQUENCY_ERROR)
+    nominal = tuple(np.round(grid.frequency_hz, 6).tolist())
+    many = driven(replace(preset, frames=grid.frames), "Fz-multisine", spacing_hz, motion, numbers)
+    return Run(f"Fz, {len(numbers)} lines at once, simulated", many, nominal, kind="multisine")
 
 
 def _matrix_run(number: int, axis: str, arm: str) -> Run:

@@ -6,12 +6,16 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import RefusedCommand, rows
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT, frequencies
-from fusion.planning.planning_notices import NOISE_UNSTATED, RATE_LIMITS, RATE_STEP, TOO_FEW_FRAMES
+from fusion.planning.multisine_plan import MultisineRequest, make_multisine
+from fusion.planning.planning_notices import MULTISINE_FRAMES, NOISE_UNSTATED, RATE_LIMITS, RATE_STEP, TOO_FEW_FRAMES
+from shaker.lines.rate_planner import Sampling
+from shaker.sine.sine_fit import fit_sines
 
 TWELVE = "--frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211"
 PUBLISHED = "--frequencies 106.25 --rate 52.874 --exposure 40e-6 --frames 211"
@@ -154,3 +158,52 @@ def test_lists_of_frequencies() -> None:
     assert frequencies("10:1000:3:log") == (10.0, 100.0, 1000.0)
     twelve = frequencies("53.7:1020.3:12")
     assert (len(twelve), twelve[0], twelve[1], twelve[-1]) == (12, 53.7, 141.572727, 1020.3)
+
+
+MANY = "--lines 12 --band 60:900 --frames 300 --max-rate 53"
+
+
+def test_a_multisine_is_played_from_its_table(planned: Planned, tmp_path: Path) -> None:
+    planned(f"{MANY} --peak 60 --noise 2e-7", "--csv", tmp_path / "multisine.csv")
+    lines = rows(tmp_path / "multisine.csv")
+    frequency, amplitude, phase = (
+        np.array([float(line[name]) for line in lines]) for name in ("frequency_hz", "acceleration_mps2", "phase_rad")
+    )
+    assert (len(frequency), frequency.min() > 55.0, frequency.max() < 950.0) == (12, True, True)
+    time_s = np.linspace(0.0, 8.0, 200_000)
+    played = np.zeros(len(time_s))
+    for line in zip(frequency, amplitude, phase, strict=True):
+        played += line[1] * np.cos(2.0 * np.pi * line[0] * time_s + line[2])
+    assert np.abs(played).max() == pytest.approx(60.0, rel=0.01)
+
+
+def test_predicted_u_is_the_scatter_of_fits() -> None:
+    """At equal total time a multisine has crest/√2 times the noise of single lines of the same peak."""
+    noise_m, rng = 2e-7, np.random.default_rng(8)
+    plan = make_multisine(
+        MultisineRequest(12, (60.0, 900.0), Sampling(300, corner_hz=0.0), (52.9,), peak_mps2=60.0, noise_m=noise_m)
+    )
+    frequency = plan.grid.frequency_hz
+    moved = plan.acceleration_mps2 * np.exp(1j * plan.phase_rad) / (2.0 * np.pi * frequency) ** 2
+    time_s = np.arange(plan.grid.frames) / plan.grid.rate_hz
+    exact = (np.exp(2j * np.pi * np.multiply.outer(time_s, frequency)) @ moved).real
+    values = exact[:, None] + noise_m * rng.standard_normal((len(exact), 400))
+    names = [str(c) for c in range(400)]
+    found = fit_sines(time_s, values, frequency, names, names).phasors.value
+    scatter = np.sqrt(np.mean(np.abs(found - moved[:, None]) ** 2, axis=1) / 2.0) / np.abs(moved)
+    assert plan.at_rate.condition == pytest.approx(1.0, abs=1e-6)
+    assert plan.relative == pytest.approx(scatter, rel=0.1)
+    assert plan.over_single(plan.single_frames) == pytest.approx(plan.crest / np.sqrt(2.0), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("--lines 40 --band 60:900 --frames 80", f"{MULTISINE_FRAMES.code} --frames: .*81.* 80"),
+        ("--lines 40 --band 0:900 --frames 400", "--band: .*above 0"),
+        ("--lines 40 --band 60:900 --frames 400 --together", "--together: .*--lines"),
+        ("--lines 40 --band 60:900 --frames 400 --min-rate 50", "--min-rate: .*--lines"),
+    ],
+)
+def test_wrong_multisines_are_one_sentence(arguments: str, told: str, refused: RefusedCommand) -> None:
+    assert re.search(told, refused("plan", "--max-rate", "53", *arguments.split()))

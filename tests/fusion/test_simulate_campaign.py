@@ -23,9 +23,10 @@ from fusion.simulate.chirp import (
     write_masses,
     write_pitching,
 )
+from fusion.simulate.multisine import ROCKING_HZ
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.releases import DAQ_FILE, StepRig, releases, write_steps
-from fusion.simulate.sines import ROCKING_HZ, recorded_phasors, rig_tables, runs, wrench_direction
+from fusion.simulate.sines import recorded_phasors, rig_tables, runs, wrench_direction
 from fusion.simulate.world import Draws, TruePart, face_points, make_world, point_series, true_part
 from photogram.geometry import rotation_from_vector
 from photogram.point_tables import read_point_tables

@@ -1,0 +1,155 @@
+"""The command `shakercal plan`, and rows of a table as JSON."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from fusion.base import check_new_file
+from fusion.commands.options import (
+    Parser,
+    band,
+    command,
+    exponent,
+    frequencies,
+    hertz,
+    not_negative,
+    path,
+    positive,
+    whole,
+)
+from fusion.errors import CONFLICTING_OPTIONS, InputError
+
+if TYPE_CHECKING:
+    from shaker.lines.rate_planner import Sampling
+
+MOST_FRAMES = 1_000_000
+MOST_LINES = 200  # of a multisine
+
+
+def _plan_options(parser: Parser) -> None:
+    text = (
+        "excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
+        "ratios), separated by commas"
+    )
+    excited = parser.add_mutually_exclusive_group()
+    excited.add_argument("--frequencies", type=frequencies, metavar="LIST", help=text)
+    text = "choose this number of frequencies, for one recording of all of them (a multisine)"
+    excited.add_argument("--lines", type=whole(2, MOST_LINES), metavar="N", help=text)
+    parser.value("--band", band, "LOW:HIGH", "of the frequencies of --lines, Hz, in equal ratios")
+    parser.switch("--linear", "frequencies of --lines in equal steps instead")
+    parser.value("--peak", positive, "M/S2", "peak acceleration of the multisine (default: 1)", default=1.0)
+    text = "exponent p of accelerations of the lines in proportion to f^p (default: 0, equal ones)"
+    parser.value("--slope", exponent, "P", text, default=0.0)
+    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), help="frames per point")
+    rate = parser.add_mutually_exclusive_group()
+    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="highest camera rate to consider")
+    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain the effect of this camera rate instead")
+    parser.value("--min-rate", hertz, "HZ", "lowest camera rate (default: half the highest)")
+    parser.value("--rate-step", hertz, "HZ", "steps of rates (default: 0.001)", default=1e-3)
+    parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
+    parser.value("--harmonics", whole(1, 100), "N", "fitted, 1: fundamental (default: 5)", default=5)
+    parser.switch("--together", "all excitations at the same time")
+    parser.value("--corner", not_negative, "HZ", "1/f noise equals white noise there (default: 5)", default=5.0)
+    text = "relative accuracy of excitation and camera rate (default: 0.0001)"
+    parser.value("--tolerance", not_negative, "SHARE", text, default=1e-4)
+    parser.value("--noise", positive, "M", "noise of the displacement per frame")
+    level = parser.add_mutually_exclusive_group()
+    level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
+    level.add_argument("--acceleration", type=positive, metavar="M/S2", help="acceleration amplitude of the excitation")
+    parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
+    text = "field of view, depth of field and noise of a stereo pair from its data sheet (docs/practice.md)"
+    parser.value("--setup", path, "SETUP.toml", text)
+    parser.set_defaults(usage_error=parser.error)
+    parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
+
+
+@command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
+def plan(options: argparse.Namespace) -> None:
+    """Find camera rates with separate aliases of excitation and harmonics."""
+    from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
+    from fusion.report.atomic_files import write_atomically
+    from shaker.lines.rate_planner import Sampling
+
+    if options.setup is not None:
+        from fusion.planning.camera_setup import print_setup, read_setup
+
+        print_setup(read_setup(options.setup))
+        if options.frequencies is None:
+            return
+    required = ("frequencies", "frames") if options.lines is None else ("band", "frames")
+    missing = [f"--{name}" for name in required if getattr(options, name) is None]
+    if missing:
+        options.usage_error(f"the following arguments are required: {', '.join(missing)}")
+    if options.rate is None and options.max_rate is None:
+        options.usage_error("one of the arguments --max-rate --rate is required")
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
+    if options.rate is not None and options.min_rate is not None:
+        raise InputError(CONFLICTING_OPTIONS, "--min-rate", found="--rate", expected="--max-rate with it")
+    sampling = Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance)
+    if options.lines is not None:
+        _plan_multisine(options, sampling)
+        return
+    limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
+    request = Request(
+        frequency_hz=options.frequencies,
+        sampling=sampling,
+        together=options.together,
+        rate_hz=options.rate,
+        # 20 % to either side of an explained rate
+        limits_hz=limits_hz if options.rate is None else (0.8 * options.rate, 1.2 * options.rate),
+        rate_step_hz=options.rate_step,
+        settle_s=options.settle,
+        size=MotionSize(options.noise, options.amplitude, options.acceleration),
+    )
+    made = make_plan(request)
+    if options.csv:
+        write_atomically(options.csv, plan_csv(made))
+    if options.figure:
+        from fusion.planning.plan_figures import draw_plan
+
+        write_atomically(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
+    if options.json:
+        print_rows("plan", plan_csv(made))
+    else:
+        print_plan(made)
+
+
+def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:
+    """Choose the lines of one recording."""
+    from fusion.planning.multisine_plan import (
+        MultisineRequest,
+        make_multisine,
+        multisine_csv,
+        print_multisine,
+        rates_below,
+    )
+    from fusion.report.atomic_files import write_atomically
+
+    for name in ("together", "amplitude", "acceleration", "figure", "min_rate"):
+        if getattr(options, name):
+            raise InputError(
+                CONFLICTING_OPTIONS, f"--{name.replace('_', '-')}", found="--lines", expected="--frequencies with it"
+            )
+    if not options.band[0] > 0.0:
+        raise InputError(CONFLICTING_OPTIONS, "--band", found=f"{options.band[0]:g} Hz", expected="frequencies above 0")
+    rates_hz = (options.rate,) if options.rate else rates_below(options.max_rate, options.rate_step)
+    shape = options.linear, options.slope, options.peak
+    made = make_multisine(
+        MultisineRequest(options.lines, options.band, sampling, rates_hz, *shape, options.settle, options.noise)
+    )
+    if options.csv:
+        write_atomically(options.csv, multisine_csv(made))
+    if options.json:
+        print_rows("plan", multisine_csv(made))
+    else:
+        print_multisine(made)
+
+
+def print_rows(name: str, text: str) -> None:
+    """Print a table as JSON."""
+    from fusion.report.folder import command_json
+    from fusion.report.table import csv_rows
+
+    print(command_json(name, rows=csv_rows(text)))
