@@ -59,7 +59,7 @@ def _simulate_options(parser: Parser) -> None:
     text = (
         "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
         "sweep, matrix: campaigns for a curve over frequency and for the 6x6; multisine: 40 lines at once; files: a "
-        "laboratory's files without manifests, for shakercal init; targets: a camera calibration; acceptance: a rig for "
+        "laboratory's files without manifests, for shakercal init; targets: a camera calibration; acceptance: for "
         "shakercal accept; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads for "
         "shakercal identify; rotation: a campaign for shakercal rotate; steps: one for shakercal step; loads: one for "
         "shakercal load; elastomer: a geometry for shakercal elastomer"
