@@ -258,7 +258,8 @@ def _names_and_units(grid: _SplitLines, index: int) -> tuple[int, int] | None:
     if timed and timed[-1] < index:
         named = timed[-1]
         return named, next((i for i in stack[::-1] if i > named and grid.are_units(i)), named + 1)
-    only_names = not timed and index == 1 and grid.is_text(0)
+    with_units = any(split_unit(cell)[1] for cell in grid.cells(index))
+    only_names = not timed and index == 1 and grid.is_text(0) and not with_units
     return (index - 1, index) if len(stack) > 1 and (grid.are_units(index) or only_names) else None
 
 
