@@ -256,8 +256,8 @@ def _attribute(node: Any, keys: Sequence[str], default: Any = None) -> Any:
 
 def _holder(node: Any, keys: Sequence[str]) -> Any:
     """Return the dataset, nearest group or file that has one of the attributes."""
-    sought = {_plain(key) for key in keys}
-    while node.name != "/" and not any(_plain(key) in sought for key in node.attrs):
+    plain_keys = {_plain(key) for key in keys}
+    while node.name != "/" and not any(_plain(key) in plain_keys for key in node.attrs):
         node = node.parent
     return node
 
@@ -371,7 +371,7 @@ def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
 
 
 def _scalars(variables: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
-    """Return the scalars by their names in plain letters, with these names; those of structs also a level higher."""
+    """Return the scalars by plain names; those of structs also a level higher."""
     found: dict[str, tuple[str, Any]] = {}
     for name, variable in variables.items():
         if not isinstance(variable, str) and getattr(variable, "size", 0) == 1:

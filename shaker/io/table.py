@@ -97,7 +97,7 @@ def _times(
 
 def _are_days(stamps: FloatArray) -> bool:
     """Return whether times are days from 1900 on, as spreadsheets count them."""
-    return _DAYS[0] < stamps[0] < _DAYS[1] and 0.0 < stamps[-1] - stamps[0] < _SHORT * len(stamps)
+    return bool(_DAYS[0] < stamps[0] < _DAYS[1] and 0.0 < stamps[-1] - stamps[0] < _SHORT * len(stamps))
 
 
 def _stamp_cells(path: Path, head: TableHead, column: int) -> list[str]:

@@ -250,7 +250,10 @@ def _header(grid: _SplitLines, remarks: Sequence[_HeadLine]) -> tuple[list[str],
 
 
 def _names_and_units(grid: _SplitLines, index: int) -> tuple[int, int] | None:
-    """Return the lines of names and of units of a header of several lines that ends with a line, or None."""
+    """Return the lines of names and units of a header of several lines.
+
+    `index`: its last line.
+    """
     stack = [index]
     while stack[-1] > 0 and grid.fits(stack[-1] - 1):
         stack.append(stack[-1] - 1)
@@ -264,7 +267,7 @@ def _names_and_units(grid: _SplitLines, index: int) -> tuple[int, int] | None:
 
 
 def _first_row(grid: _SplitLines) -> int:
-    """Return the first line of numbers: that of the first large block between lines of text."""
+    """Return the first line of the first large block of numbers between texts."""
     texts = [i for i in range(len(grid.lines)) if grid.is_text(i)]
     starts = [0, *(i + 1 for i in texts)]
     stops = [*texts, len(grid.lines)]
@@ -351,7 +354,7 @@ def _stated_rate(lines: Sequence[str], comma: bool = False) -> float | None:
 
 
 def _stated_number(text: str, comma: bool) -> float:
-    """Return a number above a table, whose decimal sign may differ from that of the table."""
+    """Return a number above a table, which may have another decimal sign."""
     sign = decimal_sign([text]) or ("," if comma or "." not in text else ".")
     with suppress(ValueError):
         return number_of(text, sign == ",")
@@ -381,7 +384,10 @@ def _no_head(path: Path, grids: Sequence[_SplitLines]) -> TableHead | None:
 
 
 def _named_by_unit(names: Sequence[str]) -> list[int]:
-    """Return the columns of times that a unit names: the first one, such as `in s`, or `ms` and below anywhere."""
+    """Return the columns of times that a unit names.
+
+    Such as `in s` for the first one, or `ms` for any.
+    """
     bare = [name.removeprefix("in ") for name in names]
     return [i for i, name in enumerate(bare) if time_unit(name) and (i == 0 or len(name) > 1)]
 

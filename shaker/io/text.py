@@ -70,7 +70,10 @@ class TextLayout:
 
 
 def open_text(path: Path) -> BinaryIO:
-    """Open a text file; UTF-16, with or without mark, and lines that end by CR alone are converted in memory."""
+    """Open a text file.
+
+    UTF-16, with or without mark, and lines that end by CR alone are converted in memory.
+    """
     stream = path.open("rb")
     sample = stream.read(_SAMPLE)
     encoding, returns = _utf16(sample), b"\r" in sample and b"\n" not in sample
@@ -84,7 +87,7 @@ def open_text(path: Path) -> BinaryIO:
 
 
 def end_of_rows(path: Path) -> int:
-    """Return the end of the rows in the stream of `open_text`: lines of words at its end are a footer."""
+    """Return the end of the rows in the stream of `open_text`, without a footer."""
     with open_text(path) as stream:
         end = stream.seek(0, 2)
         start = stream.seek(max(0, end - _SAMPLE))
@@ -249,7 +252,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def _number_or_nan(cell: str, layout: TextLayout) -> float:
-    """Return the number in a cell, NaN for marks of a missing sample such as `---` or `#NV`."""
+    """Return the number in a cell, NaN for marks of a missing sample."""
     if layout.grouped and _GROUPED.fullmatch(cell.strip()):
         cell = cell.replace(".", "")
     return float("nan") if _NO_SAMPLE.fullmatch(cell.strip()) else number_of(cell, layout.comma)

@@ -123,7 +123,7 @@ def _largest_output(found: Sequence[RecorderFile], driven: DrivenLines) -> tuple
 
 
 def guess_bodies(found: Sequence[RecorderFile], driven: DrivenLines) -> Iterator[RecorderFile]:
-    """Yield recorders whose channels of motion are guessed as base and load by the size of their lines.
+    """Yield recorders with base and load guessed from the lines of their channels.
 
     Below the resonance of a sensor its load moves more than its base. The largest step between the sizes separates them
     where it is much larger than all others. Channels across the motion are small and are not compared.

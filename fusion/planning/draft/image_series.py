@@ -63,7 +63,7 @@ class FoundCamera:
 
 
 def find_images(folder: Path) -> tuple[list[Path], list[FoundCamera]]:
-    """Return the images and videos of a recording and its folders, in natural order, and those without a reader."""
+    """Return the images and videos of a recording, and those without a reader."""
     found: list[Path] = []
     unreadable: dict[str, list[Path]] = defaultdict(list)
     level = [folder]
@@ -146,7 +146,10 @@ def _camera_numbers(columns: Sequence[Sequence[str]]) -> list[int]:
 
 
 def _alternates(values: Sequence[str], others: Sequence[tuple[int, ...]]) -> bool:
-    """Return whether every value occurs once in each round of frames, in the order of the other numbers."""
+    """Return whether every value occurs once in each round of frames.
+
+    The other numbers order the frames.
+    """
     cameras = len(set(values))
     order = [values[i] for i in sorted(range(len(values)), key=lambda i: others[i])]
     rounds = [order[i : i + cameras] for i in range(0, len(order), cameras)]

@@ -61,9 +61,9 @@ class TriggerPulses:
 
 @dataclass(frozen=True)
 class FoundChannel:
-    """A channel of a file with unit, rate (0 if the file states none), length, range and pulses.
+    """A channel of a file with unit, rate, length, range and pulses.
 
-    `label`: its name in a list of the file's columns, empty without one.
+    `rate_hz`: 0 if the file states none; `label`: its name in a list of the file's columns, empty without one.
     """
 
     name: str
@@ -229,7 +229,7 @@ def _daq(path: Path) -> FoundDaq:
 
 
 def _read(path: Path) -> tuple[dict[str, RawChannel], str, bool]:
-    """Return the channels of a file or its problem, and whether it states no sampling rate."""
+    """Return the channels of a file or its problem, and whether its rate is missing."""
     try:
         return read_channels(path), "", False
     except MissingRateError:
@@ -241,7 +241,7 @@ def _read(path: Path) -> tuple[dict[str, RawChannel], str, bool]:
 
 
 def _is_empty_or_time(channel: RawChannel) -> bool:
-    """Return whether a channel has no samples, or rises in equal steps as times and numbers of samples do."""
+    """Return whether a channel has no samples, or rises in equal steps as times do."""
     samples = channel.samples
     if not np.isfinite(samples).any():
         return True
