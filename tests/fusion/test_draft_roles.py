@@ -12,7 +12,7 @@ import pytest
 from recorder_layouts import EDGES, LAYOUTS, write_layout
 from support import write_daq
 
-from fusion import draft
+from fusion import InputError, draft
 from fusion.planning.draft.channel_guess import component_of, guess_channel
 from fusion.planning.draft.inventory import FoundChannel, survey_folder
 
@@ -161,6 +161,14 @@ def test_a_rate_that_no_file_states_is_asked_for(tmp_path):
     (tmp_path / "a.csv").write_text("Laser [m/s]\n" + "".join(f"{np.sin(503 * t):.5f}\n" for t in TIME[:500]))
     (block,) = recording(tmp_path)["daq"]
     assert (block["sample_rate"], block["channel"][0]["quantity"]) == ("?", "velocity")
+
+
+def test_recordings_two_levels_below_are_named(tmp_path):
+    for day in ("Monday", "Tuesday"):
+        (tmp_path / day / "run1").mkdir(parents=True)
+        write(tmp_path / day / "run1" / "a.h5", {"laser": np.sin(503 * TIME)}, {"laser": "m/s"})
+    with pytest.raises(InputError, match="Monday, Tuesday"):
+        draft(tmp_path)
 
 
 def test_a_table_of_another_suffix_is_listed(tmp_path):
