@@ -169,6 +169,64 @@ def _transposed_head(t: Array, c: Array, v: Array) -> str:
     return "Label,Time,camera,laser\nUnit,s,V,m/s\n" + "".join(lines)
 
 
+def _rohde_schwarz(t: Array, c: Array, v: Array) -> str:
+    return "in s,CH1 in V,CH2 in m/s\n" + rows(t - 0.25, c, v, form="{:.8E}")
+
+
+def _fixed_width(t: Array, c: Array, v: Array) -> str:
+    lines = (f"{x:10.5f}   {a:14.5f}   {b:15.6f}\n" for x, a, b in zip(t, c, v, strict=True))
+    return "  Time (s)   Camera top (V)   Laser one (m/s)\n" + "".join(lines)
+
+
+def _thousands(t: Array, c: Array, v: Array) -> str:
+    lines = (f"{1e3 * x:,.4f};{a:,.4f};{b:,.4f}\n" for x, a, b in zip(t, c, v, strict=True))
+    text = "".join(lines).replace(",", "_").replace(".", ",").replace("_", ".")
+    return "Zeit [ms];Kamera [V];Laser [m/s]\n" + text
+
+
+def _thousands_by_apostrophes(t: Array, c: Array, v: Array) -> str:
+    lines = (f"{1e3 * x:,.4f};{a:.4f};{b:.4f}\n" for x, a, b in zip(t, c, v, strict=True))
+    return "Zeit [ms];Kamera [V];Laser [m/s]\n" + "".join(lines).replace(",", "'")
+
+
+def _quoted_commas(t: Array, c: Array, v: Array) -> str:
+    lines = (f'"{x:.6f}"_"{a:.6f}"_"{b:.6f}"\n' for x, a, b in zip(t, c, v, strict=True))
+    return "Time [s],Camera [V],Laser [m/s]\n" + "".join(lines).replace(".", ",").replace("_", ",")
+
+
+def _numbers_only(t: Array, c: Array, v: Array) -> str:
+    return rows(t, c, v, by="\t", comma=True)
+
+
+def _footer(t: Array, c: Array, v: Array) -> str:
+    end = "\nMin;-0.1;-1.0\nMax;5.1;1.0\nEnd of data;4000 samples\n"
+    return "Fs = 2kS/s\nCamera [V];Laser [m/s]\n" + rows(c, v, by=";") + end
+
+
+def _four_rows(t: Array, c: Array, v: Array) -> str:
+    head = "Time|Camera|Laser\ns|V|m/s\n|10 V|125 mm/s/V\n|top|table\n"
+    return head + rows(t, c, v, by="|")
+
+
+def _days(t: Array, c: Array, v: Array) -> str:
+    lines = (f"{45322.5 + x / 86400.0:.10f};{a:.6f};{b:.6f}\n" for x, a, b in zip(t, c, v, strict=True))
+    return "Time;Camera (V);Laser (m/s)\n" + "".join(lines).replace(".", ",")
+
+
+def _fortran(t: Array, c: Array, v: Array) -> str:
+    return "  Time_s   camera_V   laser_m/s\n" + rows(t, c, v, by="   ", form="{:.9E}").replace("E", "D")
+
+
+def _grouped_rate(t: Array, c: Array, v: Array) -> str:
+    return "Abtastfrequenz;2.000,0 Hz\n\nKamera <V>;Laser {m/s}\n" + rows(c, v, by=";", comma=True)
+
+
+def _carriage_returns(t: Array, c: Array, v: Array) -> str:
+    return ("Measurement time ms;Camera V;Laser m/s\n".replace(" V", "_V") + rows(1e3 * t, c, v, by=";")).replace(
+        "\n", "\r"
+    )
+
+
 LAYOUTS: dict[str, tuple[Writer, str, str]] = {
     # how it is written, encoding, suffix
     "German amplifier": (_german, "latin-1", ".csv"),
@@ -198,6 +256,18 @@ LAYOUTS: dict[str, tuple[Writer, str, str]] = {
     "names after percent": (_percent, "utf-8", ".txt"),
     "names beside a label": (_transposed_head, "utf-8", ".csv"),
     "units after slashes": (_slashes, "utf-8", ".csv"),
+    "Rohde & Schwarz": (_rohde_schwarz, "utf-8", ".csv"),
+    "columns of one width": (_fixed_width, "utf-8", ".txt"),
+    "thousands by points": (_thousands, "utf-8", ".csv"),
+    "thousands by apostrophes": (_thousands_by_apostrophes, "utf-8", ".csv"),
+    "decimal commas in quotes": (_quoted_commas, "utf-8", ".csv"),
+    "numbers only": (_numbers_only, "utf-8", ".txt"),
+    "statistics below": (_footer, "utf-8", ".csv"),
+    "four rows above": (_four_rows, "utf-8", ".txt"),
+    "days of a spreadsheet": (_days, "utf-8", ".csv"),
+    "Fortran": (_fortran, "utf-8", ".dat"),
+    "thousands in the rate": (_grouped_rate, "utf-8", ".csv"),
+    "lines that end by CR": (_carriage_returns, "utf-8", ".txt"),
 }
 
 

@@ -32,9 +32,10 @@ from shaker.io.channel import (
 from shakercal._common.arrays import FloatArray
 from shakercal._common.mat5 import check_mat5, load_mat
 
-_RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
-_MATLAB_RATES = ("sample_rate", "fs", "Fs")
-_STARTS, _UNITS = ("start_time",), ("unit", "units")
+# Names of rates and of intervals, in small letters without marks; structs such as `x_values.increment` in one word.
+_RATES = ("samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "fs")
+_INTERVALS = ("dt", "tinterval", "sampleinterval", "samplinginterval", "wfincrement", "timestep", "xvaluesincrement")
+_STARTS, _UNITS = ("start_time",), ("unit", "units", "unit_string")
 _TIMES = ("time", "Time", "t")
 _TIME_UNITS = ("time_unit", "time_units")
 # Units of times that state none, by the rate.
@@ -231,7 +232,9 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         requested = {}
         for name in select_names(path, names, present):
             node, index, where = file[columns[name].dataset], columns[name].index, f'{path}: channel "{name}"'
-            rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
+            stated_rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
+            interval = _number(where, _attribute(node, _INTERVALS), index)
+            rate = 1.0 / interval if stated_rate is None and interval else stated_rate
             times = _neighbouring_time(name, columns)
             if times is not None and _holder(node, _RATES).name.rstrip("/").count("/") < times.count("/"):
                 rate = None  # stated for a group around that of the times
@@ -247,15 +250,21 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
 def _attribute(node: Any, keys: Sequence[str], default: Any = None) -> Any:
     """Return an attribute of a dataset, of the groups around it, or of the file."""
-    attributes = _holder(node, keys).attrs
-    return next((attributes[key] for key in keys if key in attributes), default)
+    attributes = {_plain(key): value for key, value in _holder(node, keys).attrs.items()}
+    return next((attributes[_plain(key)] for key in keys if _plain(key) in attributes), default)
 
 
 def _holder(node: Any, keys: Sequence[str]) -> Any:
     """Return the dataset, nearest group or file that has one of the attributes."""
-    while node.name != "/" and not any(key in node.attrs for key in keys):
+    plain_keys = {_plain(key) for key in keys}
+    while node.name != "/" and not any(_plain(key) in plain_keys for key in node.attrs):
         node = node.parent
     return node
+
+
+def _plain(key: str) -> str:
+    """Return a key in small letters and digits, so that `Sample_Rate` is `samplerate`."""
+    return re.sub(r"[^a-z0-9]", "", key.lower())
 
 
 def _one_text(value: Any, index: int | None) -> str:
@@ -334,12 +343,16 @@ def _channels(
         if name not in columns and isinstance(kind := variables.get(name), _Unreadable):
             raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {kind}')
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
+    scalars = _scalars(variables)
     requested = {}
     for name in select_names(path, names, present):
-        (rate_key, rate), (_, start) = (_find_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
+        (rate_key, rate), (_, start) = (_find_scalar(path, scalars, name, keys) for keys in (_RATES, _STARTS))
+        if rate is None:
+            rate_key, interval = _find_scalar(path, scalars, name, _INTERVALS)
+            rate = 1.0 / interval if interval else None
         near = [columns[other] for other in _neighbouring_keys(name, _TIMES) if other in columns and other != name]
         times = next((column.dataset for column in near if column.length == columns[name].length), None)
-        units = (variables.get(key) for key in _neighbouring_keys(name, _UNITS))
+        units = (variables.get(key) for key in _neighbouring_keys(name, (*_UNITS, "quantity.label")))
         unit = next((text for text in units if type(text) is str), "")
         texts = (variables.get(key) for key in _neighbouring_keys(name, _TIME_UNITS))
         time_unit = next((text for text in texts if type(text) is str), "")
@@ -357,12 +370,27 @@ def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _find_scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
+def _scalars(variables: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
+    """Return the scalars by plain names; those of structs also a level higher."""
+    found: dict[str, tuple[str, Any]] = {}
+    for name, variable in variables.items():
+        if not isinstance(variable, str) and getattr(variable, "size", 0) == 1:
+            *levels, key = name.split(".")
+            for depth in (len(levels), len(levels) - 1) if levels else (0,):
+                plain = ".".join((*levels[:depth], _plain("".join((*levels[depth:], key)))))
+                found.setdefault(plain, (name, variable))
+    return found
+
+
+def _find_scalar(
+    path: Path, scalars: Mapping[str, tuple[str, Any]], name: str, keys: Sequence[str]
+) -> tuple[str, float | None]:
     """Return name and value of the first scalar among the keys, else None."""
-    for key in _neighbouring_keys(name, keys):
-        if getattr(variable := variables.get(key), "size", 0) == 1:
-            check_stored(path, key, variable)
-            return key, float(np.asarray(variable).reshape(()))
+    for key in _neighbouring_keys(name, [_plain(key) for key in keys]):
+        if key in scalars:
+            full, variable = scalars[key]
+            check_stored(path, full, variable)
+            return full, float(np.asarray(variable).reshape(()))
     return "", None
 
 
@@ -400,7 +428,9 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
         if roots <= {name for name, *_ in whosmat(str(path))}:
-            roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES, *_TIME_UNITS}
+            known = {*_UNITS, *_TIMES, *_TIME_UNITS}
+            scalars = {_plain(key) for key in (*_RATES, *_INTERVALS, *_STARTS)}
+            roots |= {name for name, *_ in whosmat(str(path)) if name in known or _plain(name) in scalars}
         else:
             roots = None  # a name is wrong: the message lists all of them
     content = load_mat(path, variable_names=roots)

@@ -78,6 +78,10 @@ def seconds_of(path: Path, where: str, unit: str) -> float:
     return factor
 
 
+class MissingRateError(ValueError):
+    """Neither a file nor its manifest states the sampling rate."""
+
+
 def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float | None, u: float = SAME_RATE) -> float:
     """Return the stated sampling rate of a file, or the given one without.
 
@@ -86,7 +90,7 @@ def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float
     """
     rate = given_hz if stated_hz is None else stated_hz
     if rate is None:
-        raise ValueError(f"{path}: expected a sampling rate for {where}, found none; give sample_rate")
+        raise MissingRateError(f"{path}: expected a sampling rate for {where}, found none; give sample_rate")
     if not (np.isfinite(rate) and rate > 0.0):
         raise ValueError(f"{path}: expected a positive sampling rate for {where}, found {rate}")
     if given_hz is None or stated_hz is None:
@@ -460,9 +464,10 @@ def format_names(names: Sequence[str], most: int = 12) -> str:
 
 _TIME = re.compile(r"(time|zeit)(\s*\d+)?(\s+-\s.*)?", re.IGNORECASE)
 _TIME_IN_TEXT = re.compile(
-    r"((elapsed|relative?|rel\.?|absolute?|abs\.?|record(ing)?|sampl(e|ing)|mess|utc|local|system|trigger)[ _-]*)?"
-    r"(times?|zeit|uhrzeit|clock|time[ _-]?stamps?|zeitstempel|date[ _/-]*time|datum[ _/-]*(uhr)?zeit|temps|tiempo"
-    r"|tempo)([ _-]*\d+)?(\s+-\s.*)?|x[ _-]?(value|axis|achse)|seconds?|sekunden?",
+    r"((elapsed|relative?|rel\.?|absolute?|abs\.?|record(ing)?|sampl(e|ing)|mess|utc|local|system|trigger"
+    r"|measure\w*|messung)[ _-]*)?"
+    r"(times?|zeit|uhrzeit|clock|time[ _-]?stamps?|zeitstempel|date[ _/&-]*time|datum[ _/-]*(uhr)?zeit|temps|tiempo"
+    r"|tempo)([ _-]*(\d+|rel|abs))?(\s+-\s.*)?|x[ _-]?(value|axis|achse)|seconds?|sekunden?",
     re.IGNORECASE,
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,13 +17,15 @@ from shaker.io.channel import (
     select_names,
     times_of_stamps,
 )
-from shaker.io.table_head import TableHead, find_head, is_number, split_cells
-from shaker.io.text import decode_text, last_digit, open_text, read_columns, text_size, whole_lines
+from shaker.io.table_head import LEAST_WITHOUT_HEAD, TableHead, find_head, is_number, split_cells
+from shaker.io.text import cells_of, decode_text, end_of_rows, last_digit, open_text, read_columns, whole_lines
 from shaker.io.time_stamps import is_date, seconds_of_stamps
 from shakercal._common.arrays import FloatArray
 
 _COMMENT = "#"
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # since 1970: numbers above which times have this unit
+_DAYS, _SHORT = (36526, 73050), 1e-6  # of the years 2000 to 2100; mean step below which numbers are days, not s
+_NUMBER_FIRST = re.compile(rb"^[\s\"]*[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?[\s\";,|]*(?:[-+\d\"]|$)", re.MULTILINE)
 _LEAST_ROWS = 8  # of a text file that is a table
 
 
@@ -80,9 +83,9 @@ def _times(
         stamps, start_s = columns[time], 0.0
         count = len(stamps) - int(np.argmax(np.isfinite(stamps[::-1]))) if len(stamps) else 0
         stamps = stamps[:count]  # a slower group of channels ends before the others
-        digit = last_digit(head.layout, head.start, text_size(path), time)
+        digit = last_digit(head.layout, head.start, end_of_rows(path), time)
         if not unit and len(stamps):
-            unit = next((name for least, name in _EPOCHS if stamps[0] > least), "")
+            unit = next((name for least, name in _EPOCHS if stamps[0] > least), "D" if _are_days(stamps) else "")
     try:
         times = times_of_stamps(path, where, stamps, unit, digit=digit, given_hz=given_hz)
     except ValueError:
@@ -90,6 +93,11 @@ def _times(
             raise
         return SampleTimes(head.stated_hz, start_s), count  # the times have too few digits
     return SampleTimes(times.rate_hz, times.start_s + start_s, times.stamp_s), count
+
+
+def _are_days(stamps: FloatArray) -> bool:
+    """Return whether times are days from 1900 on, as spreadsheets count them."""
+    return bool(_DAYS[0] < stamps[0] < _DAYS[1] and 0.0 < stamps[-1] - stamps[0] < _SHORT * len(stamps))
 
 
 def _stamp_cells(path: Path, head: TableHead, column: int) -> list[str]:
@@ -100,11 +108,11 @@ def _stamp_cells(path: Path, head: TableHead, column: int) -> list[str]:
     dates = [i for i in head.stamped if i != column]
     cells, delimiter = [], head.layout.delimiter
     with open_text(path) as stream:
-        for _, block in whole_lines(stream, head.start, text_size(path)):
+        for _, block in whole_lines(stream, head.start, end_of_rows(path)):
             for line in decode_text(block).splitlines():
                 if not line.strip() or line.startswith(_COMMENT):
                     continue
-                row = split_cells(line, delimiter) if '"' in line else line.split(delimiter or None)
+                row = cells_of(line, delimiter)
                 cell = row[column] if column < len(row) else ""
                 day = row[dates[0]].strip() if dates and dates[0] < len(row) else ""
                 cells.append(f"{day} {cell.strip()}" if is_date(day) else cell)
@@ -113,7 +121,7 @@ def _stamp_cells(path: Path, head: TableHead, column: int) -> list[str]:
 
 def read_table_numbers(head: TableHead, requested: Sequence[int]) -> dict[int, FloatArray]:
     """Return columns of a table by their index."""
-    return read_columns(head.layout, head.start, text_size(head.layout.path), head.line, requested)
+    return read_columns(head.layout, head.start, end_of_rows(head.layout.path), head.line, requested)
 
 
 def table_units(path: Path) -> dict[str, str]:
@@ -132,6 +140,16 @@ def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
         return np.stack([columns[index] for index in columns_by_name], axis=1)
 
 
+def _has_numbers(path: Path) -> bool:
+    """Return whether many lines of a text file begin with a number."""
+    try:
+        with open_text(path) as stream:
+            sample = stream.read(1 << 16)
+    except OSError:
+        return False
+    return b"\0" not in sample and len(_NUMBER_FIRST.findall(sample)) >= LEAST_WITHOUT_HEAD
+
+
 def is_table(path: Path) -> bool:
     """Return whether a text file has a header and enough rows of numbers."""
     try:
@@ -139,8 +157,9 @@ def is_table(path: Path) -> bool:
             head = find_head(path)
             with open_text(path) as stream:
                 stream.seek(head.start)
-                lines = decode_text(stream.read(1 << 16)).splitlines()[:_LEAST_ROWS]
+                lines = decode_text(stream.read(1 << 16)).splitlines()
     except (OSError, ValueError):
-        return False
-    cells = [split_cells(line, head.layout.delimiter) for line in lines]
-    return len(cells) == _LEAST_ROWS and all(any(is_number(c, head.layout.comma) for c in row) for row in cells)
+        return _has_numbers(path)
+    cells = [split_cells(line, head.layout.delimiter) for line in lines if line.strip()][:_LEAST_ROWS]
+    numbers = [any(is_number(c, head.layout.comma) for c in row) for row in cells]
+    return (len(cells) == _LEAST_ROWS and all(numbers)) or _has_numbers(path)

@@ -10,17 +10,21 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from shaker.io.channel import LONGEST_LINE, is_time, time_unit
-from shaker.io.text import TextLayout, check_line, decode_text, number_of, open_text
+from shaker.io.text import TextLayout, check_line, decimal_sign, decode_text, number_of, open_text
 from shaker.io.time_stamps import is_stamp
 
 _COMMENTS = ("#", "%")
-_DELIMITERS = ("\t", ";", ",", "")
+_DELIMITERS = ("\t", ";", ",", "|", "")
 _WINDOW, _LEAST_LINES = 1 << 18, 8  # bytes and lines that are read to find the header
+LEAST_WITHOUT_HEAD = 100  # rows of a file of numbers only that is a recorder's
 _LAST_ROWS, _MOST_CELLS = 40, 1 << 17  # rows whose cells are counted, and their cells together
+_LEAST_BLOCK = 0.1  # least number of rows of a table over that of the largest block of numbers in the first lines
 _FULL = 0.8  # least share of the rows in which a column of numbers has one
 _STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # a line that states the delimiter to Excel
-_NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
+_NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\)|<([^<>]*)>|\{([^{}]*)\})")
 _TIME_WITH_UNIT = re.compile(r"(t|time|zeit)[ _](s|sec|ms|us|ns)", re.IGNORECASE)
 _UNITS = re.compile(
     r"[mukµμ]?v|volts?|[mµμ]?v/v|[mkµμ]?a|[mkM]?n|newtons?|[mk]?n\W?m|[mcµμun]?m|[mµμun]?m/s|m/s(\^?2|²|\*\*2)|g|gn"
@@ -28,16 +32,20 @@ _UNITS = re.compile(
     r"|strain|pc|counts?|digits?|sequence",
     re.IGNORECASE,
 )
-_SLASHED = re.compile(rf"(.*?\S)\s*(?:/|,|\bin\b)\s*({_UNITS.pattern})", re.IGNORECASE)
-_NUMBER = r"([-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
+_TRAILING = re.compile(
+    r"(.*?[^\W_]\)?)(?:[ _](?=\S*/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
+    r"([cmµμun]?m/s(?:\^?2|²)?|[mµμu]?V/V|(?:°|deg|rad)/s|[mµμun]s|[mµμu]?V|[µμum]m|[mk]?N|Nm|g)"
+)
+_SLASHED = re.compile(rf"(.*?\S)\s*(?:/|,|:|\bin\b)\s*({_UNITS.pattern})", re.IGNORECASE)
+_NUMBER = r"([-+]?\d+(?:[., '\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _RATE = re.compile(
     r"(?:sampl\w*|scan|abtast|mess|acquisition|update|daten|data)[ _-]*(?:rate|freq\w*)|^\W*(?:fs|f_s|rate)\b"
     r"|samples?(?:/| per )s\w*",
     re.IGNORECASE,
 )
 _INTERVAL = re.compile(
-    r"(?:sampl\w*|abtast\w*|horizontal|time|zeit|x|mess)?[ _.-]*"
-    r"(?:interval\w*|increment|inkrement|delta[ _]?[tx]|\bdt)\b|^\W*zeitschritt",
+    r"(?:sampl\w*|abtast\w*|horizontal|time|zeit|x|x[ _-]?axis|mess)?[ _.-]*"
+    r"(?:interval\w*|increment|inkrement|delta[ _]?[tx]|x[ _-]?axis[ _]delta|\bdt)\b|^\W*zeitschritt",
     re.IGNORECASE,
 )
 _UNIT_ROW = re.compile(
@@ -86,6 +94,8 @@ class TableHead:
         named = [i for i, name in enumerate(self.short) if is_time(name, self.units[i], text=True)]
         if named:
             return named
+        if named := _named_by_unit(self.names):
+            return named
         timed = self.units and time_unit(self.units[0]) and 0 not in self.texts
         return [0] if timed else list(self.stamped[:1])
 
@@ -101,24 +111,25 @@ class _HeadLine:
 class _SplitLines:
     """Lines of a table's beginning, split by one delimiter.
 
-    `columns`: the width of most rows; `numeric`: the columns of numbers or times.
+    `columns`: the width of most rows; `numeric`: the columns of numbers or times; `comma`: whether the decimal sign is
+    a comma, or may be one; `grouped`: it is one for certain.
     """
 
     lines: list[_HeadLine]
     delimiter: str
     columns: int = 0
     numeric: int = 0
+    comma: bool = True
+    grouped: bool = False
     rows: dict[int, list[str]] = field(default_factory=dict)
 
-    @property
-    def comma(self) -> bool:
-        """Whether numbers may have a decimal comma."""
-        return self.delimiter != ","
-
     def cells(self, index: int) -> list[str]:
-        """Return the cells of a line."""
+        """Return the cells of a line; names in columns of blanks may have single blanks."""
         if index not in self.rows:
             self.rows[index] = split_cells(self.lines[index].text, self.delimiter)
+        if not self.delimiter and len(self.rows[index]) > self.columns > 1:
+            aligned = re.split(r"\s{2,}", self.lines[index].text.strip())
+            return aligned if len(aligned) == self.columns else self.rows[index]
         return self.rows[index]
 
     def is_text(self, index: int) -> bool:
@@ -131,8 +142,13 @@ class _SplitLines:
     def fits(self, index: int) -> bool:
         """Return whether a line has one text per column."""
         cells = self.cells(index)
-        right = index >= 0 and self.columns in (len(cells), len(_without_empty_end(cells)))
-        return right and any(cells) and not any(map(is_stamp, cells))
+        keys = len(cells) > 1 and any(cell.endswith(":") for cell in cells)
+        return index >= 0 and self.fits_width(index) and any(cells) and not keys and not any(map(is_stamp, cells))
+
+    def fits_width(self, index: int) -> bool:
+        """Return whether a line has as many cells as the table has columns."""
+        cells = self.cells(index)
+        return self.columns in (len(cells), len(_without_empty_end(cells)))
 
     def are_units(self, index: int) -> bool:
         """Return whether all texts of a line are units."""
@@ -162,8 +178,7 @@ def find_head(path: Path) -> TableHead:
     grids = [grid for delimiter in ([stated] if stated else _DELIMITERS) for grid in _grids(lines, delimiter)]
     found = [(grid, head) for grid in grids if grid.columns and (head := _header(grid, remarks)) is not None]
     if not found:
-        oscilloscope = _oscilloscope_head(path, lines)
-        return oscilloscope or _first_line(path, lines, stated)
+        return _oscilloscope_head(path, lines) or _no_head(path, grids) or _first_line(path, lines, stated)
     grid, (names, units, first) = max(found, key=lambda item: (item[0].numeric, item[0].columns))
     return _head(path, grid, names, units, first)
 
@@ -192,9 +207,11 @@ def _first_lines(path: Path) -> tuple[list[_HeadLine], list[_HeadLine], str]:
 
 def _grids(lines: list[_HeadLine], delimiter: str) -> Iterator[_SplitLines]:
     """Yield the table by its usual width, without and with an empty end."""
-    whole = _SplitLines(lines, delimiter)
+    whole = _SplitLines(lines, delimiter, comma=delimiter != ",")
     width = max(len(whole.cells(len(lines) - 1)), 1)
     last = range(max(0, len(lines) - max(3, min(_LAST_ROWS, _MOST_CELLS // width))), len(lines))
+    sign = decimal_sign(cell for i in last for cell in whole.cells(i))
+    whole.comma, whole.grouped = sign == "," if sign else whole.comma, sign == ","
     rows = [whole.cells(i) for i in last if not whole.is_text(i)]
     for cut in (_without_empty_end, list):
         widths = Counter(len(cut(row)) for row in rows)
@@ -206,12 +223,10 @@ def _grids(lines: list[_HeadLine], delimiter: str) -> Iterator[_SplitLines]:
 
 def _header(grid: _SplitLines, remarks: Sequence[_HeadLine]) -> tuple[list[str], list[str], int] | None:
     """Return names, row of units, and index of the first row, or None."""
-    last = len(grid.lines) - 1
-    while last >= 0 and not grid.is_text(last):
-        last -= 1
-    first = last + 1
+    first = _first_row(grid)
     if first == len(grid.lines) or grid.numeric == 0:
         return None
+    last = first - 1
     fitting = [i for i in range(last, -1, -1) if grid.is_text(i) and grid.fits(i)] if grid.columns > 1 else []
     labels = [i for i in fitting if _NAME_ROW.fullmatch(grid.cells(i)[0])]
     if labels and not (grid.fits(last) and grid.has_time(last)):
@@ -220,17 +235,46 @@ def _header(grid: _SplitLines, remarks: Sequence[_HeadLine]) -> tuple[list[str],
     if index >= 0 and not grid.fits(index):
         index = fitting[0] if fitting else -1  # such as "data:" between names and rows
     if index < 0 or not grid.fits(index):
+        wide = [_without_empty_end(grid.cells(i)) for i in (last, first)] if last >= 0 else [[], []]
+        if len(wide[0]) == len(wide[1]) > grid.columns and grid.are_units(first):
+            return wide[0], wide[1], first + 1  # more names than columns, such as an increment
         return _in_remark(grid, remarks, first)
-    above = index - 1
-    under = above >= 0 and grid.fits(above)
-    named = not grid.has_time(index) and (grid.has_time(above) or (above == 0 and grid.is_text(above)))
-    if under and (grid.are_units(index) or named):
-        return grid.cells(above), grid.cells(index), first
+    below = _names_and_units(grid, index)
+    if below is not None:
+        return grid.cells(below[0]), grid.cells(below[1]), first
     units = list[str]()
     mixed = [cell for cell in grid.cells(first) if cell]
     if index == last and any(not is_number(cell, grid.comma) for cell in mixed) and grid.are_units(first):
         units, first = grid.cells(first), first + 1  # units next to numbers, such as an increment
     return grid.cells(index), units, first
+
+
+def _names_and_units(grid: _SplitLines, index: int) -> tuple[int, int] | None:
+    """Return the lines of names and units of a header of several lines.
+
+    `index`: its last line.
+    """
+    stack = [index]
+    while stack[-1] > 0 and grid.fits(stack[-1] - 1):
+        stack.append(stack[-1] - 1)
+    timed = [i for i in stack if grid.has_time(i)]
+    if timed and timed[-1] < index:
+        named = timed[-1]
+        return named, next((i for i in stack[::-1] if i > named and grid.are_units(i)), named + 1)
+    with_units = any(split_unit(cell)[1] for cell in grid.cells(index))
+    only_names = not timed and index == 1 and grid.is_text(0) and not with_units
+    return (index - 1, index) if len(stack) > 1 and (grid.are_units(index) or only_names) else None
+
+
+def _first_row(grid: _SplitLines) -> int:
+    """Return the first line of the first large block of numbers between texts."""
+    texts = [i for i in range(len(grid.lines)) if grid.is_text(i)]
+    starts = [0, *(i + 1 for i in texts)]
+    stops = [*texts, len(grid.lines)]
+    rows = [sum(map(grid.fits_width, range(start, stop))) for start, stop in zip(starts, stops, strict=True)]
+    least = max(1.0, _LEAST_BLOCK * max(rows))
+    first = next((start for start, count in zip(starts, rows, strict=True) if count >= least), len(grid.lines))
+    return len(grid.lines) if grid.columns == 1 and first < starts[-1] else first  # lines that do not split
 
 
 def _in_remark(grid: _SplitLines, remarks: Sequence[_HeadLine], first: int) -> tuple[list[str], list[str], int] | None:
@@ -245,6 +289,7 @@ def _in_remark(grid: _SplitLines, remarks: Sequence[_HeadLine], first: int) -> t
 
 def _head(path: Path, grid: _SplitLines, names: list[str], units: list[str], first: int) -> TableHead:
     """Return a header with units and rate from the lines above."""
+    increments = [cell for cell, name in zip(units, names, strict=False) if _INTERVAL.search(name)]
     names, line = names[: grid.columns], grid.lines[first]
     rows = [grid.cells(i) for i in range(len(grid.lines) - 1, first - 1, -1)[:_LAST_ROWS]]
     rows = [row for row in rows if len(row) >= grid.columns]
@@ -256,27 +301,37 @@ def _head(path: Path, grid: _SplitLines, names: list[str], units: list[str], fir
         number = grid.lines[first].number - 1
         raise ValueError(f"{path}: line {number}: expected a header with one name per column, found {names}")
     names = [name or ("" if not used[i] else f"column {i + 1}") for i, name in enumerate(names)]
-    stripped = [cell.strip("[]()").strip() for cell in units] + [""] * len(names)
+    rising = next((i for i, cells in enumerate(used[:2]) if cells and _rises(cells, grid.comma)), None)
+    if rising is not None and names[rising] in ("", f"column {rising + 1}"):
+        names[rising] = "time"
+    stripped = [cell.strip("[]()<>{} ") for cell in units] + [""] * len(names)
     own = [split_unit(name)[1] for name in names]
     made = [row or unit for row, unit in zip(stripped, own, strict=False)]
+    made = [
+        unit or (name if i in _named_by_unit(names) else "")
+        for i, (unit, name) in enumerate(zip(made, names, strict=True))
+    ]
+    made = [unit.removeprefix("in ") for unit in made]
     above = [line.text for line in grid.lines[:first]]
     for cells in (grid.cells(i) for i in range(first)):
         if _UNIT_ROW.fullmatch(cells[0]) and len(cells) >= len(names) > 1:
             made = [unit or cells[i] for i, unit in enumerate(made)]
-    stated_hz = _stated_rate(above)
+    stated_hz = _stated_rate(above, grid.comma and any("," in cell for cells in used for cell in cells))
     if stated_hz is None:
-        increments = [cell for cell, name in zip(units, names, strict=False) if _INTERVAL.search(name)]
         stated_hz = _stated_rate([f"increment {cell}" for cell in increments])
     if units and any(is_number(cell, grid.comma) and cell != "1" for cell in units):
         counted = [not used[i] or made[i].lower() == "sequence" for i in range(len(names))]
         names = ["" if counted[i] else name for i, name in enumerate(names)]
         made = ["" if is_number(unit, grid.comma) and unit != "1" else unit for unit in made]
-    layout = TextLayout(path, len(names), grid.delimiter, grid.comma)
+    layout = TextLayout(path, len(names), grid.delimiter, grid.comma, grouped=grid.grouped)
     return TableHead(names, made, layout, line.start, line.number, stated_hz, stamped, texts)
 
 
-def _stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the sampling rate that lines state, as a rate or an interval."""
+def _stated_rate(lines: Sequence[str], comma: bool = False) -> float | None:
+    """Return the sampling rate that lines state, as a rate or an interval.
+
+    `comma`: the table has a decimal comma, so that a point before three digits groups thousands.
+    """
     for index, line in enumerate(lines):
         for pattern, inverse in ((_RATE, False), (_INTERVAL, True)):
             key = pattern.search(line)
@@ -288,14 +343,22 @@ def _stated_rate(lines: Sequence[str]) -> float | None:
             number = re.search(_NUMBER, behind)
             if number is None:
                 continue
-            value = float(number[1].replace(",", "."))
-            scale = re.search(r"\b([kM]?)(?:Hz|S/s|SPS)\b", line[key.start() :], re.IGNORECASE)
-            unit = re.search(r"\b([mun\u00b5\u03bc]?)s(?:ec\w*)?\b", line[key.start() :])
+            value = _stated_number(number[1], comma)
+            scale = re.search(r"(?<![A-Za-z])([kM]?)(?:Hz|S/s|SPS)\b", line[key.start() :], re.IGNORECASE)
+            unit = re.search(r"(?<![^\W\d_])([mun\u00b5\u03bc]?)s(?:ec\w*)?\b", line[key.start() :])
             factor = {"": 1.0, "k": 1e3, "m": 1e6}[scale[1].lower()] if scale else 1.0
             step = {"": 1.0, "m": 1e-3, "n": 1e-9}.get(unit[1], 1e-6) if unit else 1.0
             if value > 0.0:
                 return 1.0 / (value * step) if inverse else value * factor
     return None
+
+
+def _stated_number(text: str, comma: bool) -> float:
+    """Return a number above a table, which may have another decimal sign."""
+    sign = decimal_sign([text]) or ("," if comma or "." not in text else ".")
+    with suppress(ValueError):
+        return number_of(text, sign == ",")
+    return number_of(text.split(maxsplit=1)[0], sign == ",")
 
 
 def _oscilloscope_head(path: Path, lines: Sequence[_HeadLine]) -> TableHead | None:
@@ -308,6 +371,34 @@ def _oscilloscope_head(path: Path, lines: Sequence[_HeadLine]) -> TableHead | No
     units = [*[""] * 3, stated.get("horizontal units", "s"), stated.get("vertical units", "")]
     layout = TextLayout(path, 5, ",", comma=False, remarks=True)
     return TableHead([*[""] * 3, "Time", name], units, layout, lines[0].start, lines[0].number)
+
+
+def _no_head(path: Path, grids: Sequence[_SplitLines]) -> TableHead | None:
+    """Return the columns of many rows of numbers without names, called by their places."""
+    grid = max(grids, key=lambda grid: (grid.numeric, grid.columns))
+    first = _first_row(grid)
+    above = grid.cells(first - 1) if first else [""]
+    named = len(_without_empty_end(above)) > 1 and not above[0].endswith(":")  # by fewer or more names
+    whole = 0 < grid.numeric == grid.columns and len(grid.lines) - first >= LEAST_WITHOUT_HEAD and not named
+    return _head(path, grid, [""] * grid.columns, [], first) if whole else None
+
+
+def _named_by_unit(names: Sequence[str]) -> list[int]:
+    """Return the columns of times that a unit names.
+
+    Such as `in s` for the first one, or `ms` for any.
+    """
+    bare = [name.removeprefix("in ") for name in names]
+    return [i for i, name in enumerate(bare) if time_unit(name) and (i == 0 or len(name) > 1)]
+
+
+def _rises(cells: Sequence[str], comma: bool) -> bool:
+    """Return whether numbers rise in equal steps, and do not count."""
+    if not all(is_number(cell, comma) for cell in cells):
+        return False
+    with np.errstate(all="ignore"):
+        steps = np.diff([number_of(cell, comma) for cell in reversed(cells)])
+        return len(steps) > 1 and bool(0.0 < steps.max() < 2.0 * steps.min()) and not np.all(steps == 1.0)
 
 
 def _first_line(path: Path, lines: Sequence[_HeadLine], stated: str) -> TableHead:
@@ -358,8 +449,8 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     match = _NAME_AND_UNIT.fullmatch(name)
     if match:
-        return match[1], (match[2] or match[3] or "").strip()
-    match = _TIME_WITH_UNIT.fullmatch(name) or _SLASHED.fullmatch(name)
+        return match[1], next((unit for unit in match.groups()[1:] if unit), "").strip()
+    match = _TIME_WITH_UNIT.fullmatch(name) or _TRAILING.fullmatch(name) or _SLASHED.fullmatch(name)
     return (match[1], match[2]) if match and match[2] not in ("-", "1") else (name, "")
 
 

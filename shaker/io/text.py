@@ -20,7 +20,9 @@ camera trigger. This module decides the points that the description does not def
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import csv
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from mmap import ACCESS_READ, mmap
@@ -45,34 +47,54 @@ _COMMENT = "#"
 _SAMPLE = 1 << 12  # bytes of a table from which the digits of its times are read
 _LATIN = 0.8  # least share of letters below 256 in a text of UTF-16 without mark
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
+_GROUPED = re.compile(r"[-+]?\d{1,3}(?:([.,'\u2019 \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")  # 1.234.567,8
+_FOOTER = re.compile(rb"\W*(?!nan|inf|over|under|null|n/?a)[A-Za-z]{2}", re.IGNORECASE)
+_NO_SAMPLE = re.compile(
+    r"[-+]?\d*[.,]?\d*#(?:[QS]NAN|IND)\d*|-+|#?(?:NV|N/?A|NULL)|\*+", re.IGNORECASE
+)  # 1.#QNAN, ---, #NV
 
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Layout of rows; with `remarks`, text after the last column is a remark."""
+    """Layout of rows; with `remarks`, text after the last column is a remark.
+
+    `comma`: the decimal sign is a comma, or may be one; `grouped`: it is one, so that points group thousands.
+    """
 
     path: Path
     columns: int
     delimiter: str
     comma: bool
     remarks: bool = False
+    grouped: bool = False
 
 
 def open_text(path: Path) -> BinaryIO:
-    """Open a text file; UTF-16, with or without mark, is converted into UTF-8 in memory."""
+    """Open a text file.
+
+    UTF-16, with or without mark, and lines that end by CR alone are converted in memory.
+    """
     stream = path.open("rb")
-    encoding = _utf16(stream.read(_SAMPLE))
+    sample = stream.read(_SAMPLE)
+    encoding, returns = _utf16(sample), b"\r" in sample and b"\n" not in sample
     stream.seek(0)
-    if not encoding:
+    if not (encoding or returns):
         return stream
     with stream:
-        return BytesIO(stream.read().decode(encoding, "replace").lstrip("\ufeff").encode())
+        raw = stream.read()
+    text = raw.decode(encoding, "replace").lstrip("\ufeff").encode() if encoding else raw
+    return BytesIO(text.replace(b"\r", b"\n") if returns else text)
 
 
-def text_size(path: Path) -> int:
-    """Return the number of bytes of the stream of `open_text`."""
+def end_of_rows(path: Path) -> int:
+    """Return the end of the rows in the stream of `open_text`, without a footer."""
     with open_text(path) as stream:
-        return stream.seek(0, 2)
+        end = stream.seek(0, 2)
+        start = stream.seek(max(0, end - _SAMPLE))
+        lines = stream.read().splitlines(keepends=True)[start > 0 :]
+    while lines and (not lines[-1].strip() or _FOOTER.match(lines[-1])):
+        end -= len(lines.pop())
+    return end
 
 
 def _utf16(raw: bytes) -> str:
@@ -180,6 +202,8 @@ def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
     delimiter = layout.delimiter.encode()
     block = block.replace(b"\r\n", b"\n")
     if layout.comma:
+        if layout.grouped and b"." in block:
+            return None
         block = block.translate(_COMMA_TO_POINT)
     empty_first = bool(delimiter) and block.startswith(delimiter)
     if empty_first:
@@ -208,22 +232,73 @@ def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequen
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
             continue
-        cells = text.split(layout.delimiter or None)
+        cells = cells_of(text, layout.delimiter)
         if layout.remarks or not any(cell.strip() for cell in cells[layout.columns :]):
             cells = cells[: layout.columns]
         if len(cells) != layout.columns:
             raise ValueError(f"{layout.path}: line {number}: expected {layout.columns} columns, found {len(cells)}")
         try:
-            rows.append([number_of(cells[i], layout.comma) for i in requested])
+            if not re.search(r"\d", text) and re.search(r"[^\W\d_]{2}", text.lower().replace("nan", "")):
+                raise ValueError("a row of texts")
+            rows.append([_number_or_nan(cells[i], layout) for i in requested])
         except ValueError as error:
             raise ValueError(f"{layout.path}: line {number}: expected numbers, found {text.strip()[:60]!r}") from error
     return np.array(rows).reshape(-1, len(requested))
 
 
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Split a row of a table into its cells."""
+    return next(csv.reader([line], delimiter=delimiter)) if delimiter and '"' in line else line.split(delimiter or None)
+
+
+def _number_or_nan(cell: str, layout: TextLayout) -> float:
+    """Return the number in a cell, NaN for marks of a missing sample."""
+    if layout.grouped and _GROUPED.fullmatch(cell.strip()):
+        cell = cell.replace(".", "")
+    return float("nan") if _NO_SAMPLE.fullmatch(cell.strip()) else number_of(cell, layout.comma)
+
+
 def number_of(cell: str, comma: bool) -> float:
-    """Return the number in a cell, NaN where it is empty."""
+    """Return the number in a cell, NaN where it is empty.
+
+    Thousands may be grouped, and `D` may begin an exponent.
+    """
     cell = cell.strip().strip('"')
-    return float(cell.replace(",", ".") if comma else cell) if cell else float("nan")
+    if not cell:
+        return float("nan")
+    try:
+        return float(cell.replace(",", ".") if comma else cell)
+    except ValueError:
+        decimal = "," if comma else "."
+        grouped = _GROUPED.fullmatch(cell)
+        if grouped and grouped[1] != decimal:
+            return float(cell.replace(grouped[1], "").replace(",", "."))
+        return float(re.sub("[dD]", "e", cell.replace(",", ".") if comma else cell))
+
+
+def decimal_sign(cells: Iterable[str]) -> str:
+    """Return the decimal sign that cells show, empty where they show none or both.
+
+    A sign is decimal where other than three digits follow it, or no digit but 0 precedes it, or another sign does.
+    """
+    found = set()
+    for cell in cells:
+        signs = re.findall("[.,]", cell)
+        number = re.fullmatch(r"[-+]?([\d.,' \u2019\u00a0\u202f]*?)([.,])(\d*)(?:[eEdD][-+]?\d+)?", cell.strip())
+        if number is None:
+            continue
+        before, sign, behind = number.groups()
+        if len(signs) > 1 and signs[0] == sign:
+            found.add("." if sign == "," else ",")
+        elif (
+            len(signs) > 1
+            or len(behind) != 3
+            or before.lstrip("0") == ""
+            or len(before) > 3
+            or cell[-1:] != behind[-1:]
+        ):
+            found.add(sign)
+    return found.pop() if len(found) == 1 else ""
 
 
 # Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).

@@ -47,6 +47,8 @@ LAYOUTS: dict[str, tuple[tuple[str, ...], bool]] = {
         True,
     ),
     "high-speed cameras in one folder": (("C001H001S0001{n:06d}.tif", "C002H001S0001{n:06d}.tif"), True),
+    "a time for each camera": (("10-15-{s:02d}.{ms:03d}_cam0.png", "10-15-{s:02d}.{ms2:03d}_cam1.png"), True),
+    "four levels of folders": (("images/raw/run1/Left_Camera/{n}.png", "images/raw/run1/Right_Camera/{n}.png"), False),
     "brackets": (("img[{n:03d}] L.png", "img[{n:03d}] R.png"), False),
     "nothing in common": (("inner/{n:04d}.png", "Basler-2/frame{n:04d}.png"), True),
     "times of the folders": (("20240514-101502-cam0/{n:04d}.png", "20240514-101503-cam1/{n:04d}.png"), True),
@@ -62,6 +64,7 @@ def write_layout(folder: Path, names: tuple[str, ...]) -> list[set[Path]]:
         for n in range(1, FRAMES + 1):
             ms = 73 * n + 400  # 13.7 Hz
             numbers: dict[str, Any] = {"n": n, "s": 2 + ms // 1000, "ms": ms % 1000, "t1": 10 * n, "t2": 10 * n + 3}
+            numbers["ms2"] = (ms + 3) % 1000
             numbers |= {"c1": 4500 + n, "c2": 1230 + n}
             path = folder / name.format(**numbers)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +121,18 @@ def test_stacks_of_many_pages_are_one_camera_each(tmp_path):
 def test_pictures_of_a_target_in_the_folder_are_no_cameras(tmp_path):
     write_layout(tmp_path, ("L/{n:03d}.png", "R/{n:03d}.png", "calibration/L/{n:03d}.png", "Kalibrierung/{n:03d}.png"))
     assert len(survey_folder(tmp_path).camera_systems) == 1
+
+
+def test_dark_images_thumbnails_and_files_without_a_reader_are_listed_and_no_pairs(tmp_path):
+    names = ("L/{n:03d}.png", "R/{n:03d}.png", "L/thumbs/{n:03d}.png", "R/thumbs/{n:03d}.png")
+    cameras = write_layout(tmp_path, names)
+    for side in "LR":
+        for n in range(3):
+            shutil.copy(min(cameras[0]), tmp_path / side / f"dark_{n}.png")
+            (tmp_path / f"{side}{n}.b16").write_bytes(b"PCO-")
+    found = survey_folder(tmp_path)
+    assert [matched(tmp_path, pair) for pair in found.camera_systems] == [cameras[:2]]
+    assert {camera.pattern for camera in found.cameras} == {"L/dark_*.png", "R/dark_*.png", "*.b16"}
 
 
 @pytest.mark.parametrize("calibrated", [True, False])

@@ -12,7 +12,7 @@ import pytest
 from recorder_layouts import EDGES, LAYOUTS, write_layout
 from support import write_daq
 
-from fusion import draft
+from fusion import InputError, draft
 from fusion.planning.draft.channel_guess import component_of, guess_channel
 from fusion.planning.draft.inventory import FoundChannel, survey_folder
 
@@ -144,3 +144,37 @@ def test_of_two_channels_without_names_that_with_less_motion_is_guessed_as_the_b
     write(tmp_path / "a.h5", {"ai0": 1.3 * sine, "ai1": sine}, {"ai0": "m/s²", "ai1": "m/s²"})
     channels = recording(tmp_path)["daq"][0]["channel"]
     assert [(entry["name"], entry["body"]) for entry in channels] == [("ai0", "load"), ("ai1", "base")]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "base"), [((1.0, 1.01, 1.25), "ai0 ai1"), ((1.0, 1.25, 1.26, 0.02), "ai0"), ((1.0, 1.01, 1.02), "")]
+)
+def test_of_more_channels_a_clear_step_between_their_sizes_separates_base_and_load(tmp_path, sizes, base):
+    sine = np.sin(2 * np.pi * 80.0 * TIME)
+    signals = {f"ai{k}": size * sine for k, size in enumerate(sizes)}
+    write(tmp_path / "a.h5", signals, dict.fromkeys(signals, "m/s²"))
+    channels = recording(tmp_path)["daq"][0]["channel"]
+    assert " ".join(entry["name"] for entry in channels if entry["body"] == "base") == base
+
+
+def test_a_rate_that_no_file_states_is_asked_for(tmp_path):
+    (tmp_path / "a.csv").write_text("Laser [m/s]\n" + "".join(f"{np.sin(503 * t):.5f}\n" for t in TIME[:500]))
+    (block,) = recording(tmp_path)["daq"]
+    assert (block["sample_rate"], block["channel"][0]["quantity"]) == ("?", "velocity")
+
+
+def test_recordings_two_levels_below_are_named(tmp_path):
+    for day in ("Monday", "Tuesday"):
+        (tmp_path / day / "run1").mkdir(parents=True)
+        write(tmp_path / day / "run1" / "a.h5", {"laser": np.sin(503 * TIME)}, {"laser": "m/s"})
+    with pytest.raises(InputError, match="Monday, Tuesday"):
+        draft(tmp_path)
+
+
+def test_a_table_of_another_suffix_is_listed(tmp_path):
+    for name in ("log.prn", "log.asc"):
+        (tmp_path / name).write_text(
+            "Zeit [s]\tLaser [m/s]\n" + "".join(f"{t:.4f}\t{t % 0.1:.5f}\n" for t in TIME[:500])
+        )
+    assert [text.partition(":")[0] for text in survey_folder(tmp_path).unreadable] == ["log.asc", "log.prn"]
+    assert all(".txt" in text for text in survey_folder(tmp_path).unreadable)

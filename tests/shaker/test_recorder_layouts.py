@@ -9,7 +9,14 @@ from recorder_layouts import LAYOUTS, RATE, signals, write_layout
 from shaker.io import read_channels
 from shaker.io.time_stamps import seconds_of_stamps
 
-WITHOUT_UNITS = {"LeCroy", "NI SignalExpress", "NI LabVIEW", "milliseconds since 1970", "names in a remark"}
+WITHOUT_UNITS = {
+    "LeCroy",
+    "NI SignalExpress",
+    "NI LabVIEW",
+    "milliseconds since 1970",
+    "names in a remark",
+    "numbers only",
+}
 IN_VOLT = {"Keysight": "Volt", "Rigol": "Volt", "PicoScope": "V"}
 
 
@@ -28,6 +35,24 @@ def test_every_layout_is_read_with_its_rate_samples_and_units(tmp_path, layout, 
     volt = IN_VOLT.get(layout, "V")
     expected = ["", ""] if layout in WITHOUT_UNITS else [volt, volt if layout in IN_VOLT else "m/s"]
     assert units == expected[: len(units)]
+
+
+@pytest.mark.parametrize("line", ["Marker 1", "Time [s],Laser [m/s]"])
+def test_a_line_of_text_between_the_rows_is_refused_by_its_number(tmp_path, line):
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 1000:.3f},{np.sin(i):.5f}" for i in range(300)]
+    path.write_text("\n".join(["Time [s],Laser [m/s]", *rows[:100], line, *rows[100:]]))
+    with pytest.raises(ValueError, match="line 102"):
+        read_channels(path)
+
+
+@pytest.mark.parametrize("mark", ["---", "#NV", "1,#QNAN", "N/A", ""])
+def test_marks_of_missing_samples_are_none(tmp_path, mark):
+    path = tmp_path / "a.csv"
+    path.write_text("Zeit [s];Laser [mm/s];Takt [V]\n" + f"0,0;1.234,5;1,0\n0,1;{mark};2,5\n0,2;2.345;0,0\n")
+    found = read_channels(path)
+    np.testing.assert_array_equal(found["Laser [mm/s]"].samples, [1234.5, np.nan, 2345.0])
+    np.testing.assert_array_equal(found["Takt [V]"].samples, [1.0, 2.5, 0.0])
 
 
 def test_two_groups_of_rates_have_their_own_times(tmp_path):

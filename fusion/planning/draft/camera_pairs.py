@@ -95,6 +95,10 @@ def pair_cameras(
             odd.append(replace(camera, problem=camera.problem or f"{camera.summary}, without a second camera"))
         else:
             sights.append(FoundCameras(_common_name([camera], "camera"), camera, None))
+    most = max((sight.left.frames for sight in sights), default=0)
+    for sight in [s for s in sights if s.right is not None and s.left.frames < FEWEST_ALONE <= most]:
+        sights.remove(sight)  # such as dark frames and reference images
+        odd += [replace(c, problem=f"{c.summary}, fewer than other cameras have") for c in sight.cameras]
     sights.sort(key=lambda sight: natural_key(sight.left.pattern))
     names = [sight.name for sight in sights]
     counts = [names[:i].count(name) for i, name in enumerate(names)]

@@ -148,7 +148,8 @@ def guess_channel(channel: FoundChannel) -> ChannelGuess:
     unit, volt = recorded_unit(channel.unit), recorded_unit("V")
     if channel.pulses is not None:
         pulses = channel.pulses
-        why = f"guessed: two levels, {pulses.edges} edges at {pulses.rate_hz:.6g} Hz"
+        rate = f" at {pulses.rate_hz:.6g} Hz" if channel.rate_hz else ""
+        why = f"guessed: two levels, {pulses.edges} edges{rate}"
         return ChannelGuess(channel, "trigger", why, 1.0)
     by_name = next((quantity for quantity, words in NAMES if has_word(words, channel.title)), None)
     by_name = "output" if component_of(channel.title) else by_name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,6 +31,7 @@ FEWEST = 64  # least number of samples for a search of lines
 FAINT = 1e-3  # least amplitude of a line over the largest channel of its unit: less is hum or cross-talk
 STRONG, MOST_DRIVEN = 0.1, 30  # least amplitude over the strongest line; largest number of lines of a multisine
 DOMINANT = 3.0  # least ratio of the largest line of the forces to the next one
+CLEAR_STEP = 3.0  # least ratio of the step between base and load to other steps
 LESS, MUCH_LESS = 1.02, 20.0  # ratio of two lines of which the smaller one may be that of the base
 
 
@@ -57,7 +59,7 @@ def driven_lines(found: Sequence[RecorderFile]) -> DrivenLines:
         chosen = [c for c in chosen if np.isfinite(recorder.daq.raw[c.name].samples[:LOOKED_AT]).all()]
         values = [recorder.daq.raw[channel.name].samples[:LOOKED_AT] for channel in chosen]
         values = [samples - samples.mean() for samples in values]
-        if not values:
+        if not values or recorder.daq.rate_missing:
             continue
         survey = survey_lines(np.stack(values, axis=1), chosen[0].rate_hz)
         amplitude = np.nan_to_num(survey.amplitude)
@@ -121,9 +123,10 @@ def _largest_output(found: Sequence[RecorderFile], driven: DrivenLines) -> tuple
 
 
 def guess_bodies(found: Sequence[RecorderFile], driven: DrivenLines) -> Iterator[RecorderFile]:
-    """Yield recorders whose two channels of motion are guessed as base and load.
+    """Yield recorders with base and load guessed from the lines of their channels.
 
-    Below the resonance of a sensor its load moves more than its base.
+    Below the resonance of a sensor its load moves more than its base. The largest step between the sizes separates them
+    where it is much larger than all others. Channels across the motion are small and are not compared.
     """
     for recorder in found:
         size = {
@@ -131,17 +134,23 @@ def guess_bodies(found: Sequence[RecorderFile], driven: DrivenLines) -> Iterator
             for item in recorder.channels
             if item.quantity in TRANSDUCERS
         }
-        pair = sorted(size, key=lambda item: size[item])
-        named = any(has_word(f"{BASE_WORDS}|{LOAD_WORDS}", item.found.title) for item in pair)
-        if len(pair) != 2 or named or len({(item.quantity, item.found.unit, item.scale) for item in pair}) > 1:
+        largest = max(size.values(), default=0.0)
+        order = sorted((i for i in size if size[i] * MUCH_LESS >= largest > 0.0), key=lambda item: size[item])
+        named = any(has_word(f"{BASE_WORDS}|{LOAD_WORDS}", item.found.title) for item in size)
+        if len(order) < 2 or named or len({(item.quantity, item.found.unit, item.scale) for item in size}) > 1:
             yield recorder
             continue
-        low, high = size[pair[0]], size[pair[1]]
-        if not LESS <= high / max(low, 1e-300) <= MUCH_LESS:
+        steps = [float(np.log(size[high] / size[low])) for low, high in pairwise(order)]
+        at = int(np.argmax(steps))
+        others = max(steps[:at] + steps[at + 1 :], default=0.0)
+        if steps[at] < np.log(LESS) or steps[at] < CLEAR_STEP * others:
             yield recorder
             continue
-        why = f"guessed: its line is {100 * (high / low - 1.0):.3g} % smaller than that of {pair[1].name}"
-        channels = (replace(item, base_why=why) if item is pair[0] else item for item in recorder.channels)
+        low, high = order[at], order[at + 1]
+        smaller = 100 * (1.0 - size[low] / size[high])
+        why = f"guessed: its line is at least {smaller:.3g} % smaller than that of {high.name}"
+        base = order[: at + 1]
+        channels = (replace(item, base_why=why) if item in base else item for item in recorder.channels)
         yield replace(recorder, channels=tuple(channels))
 
 

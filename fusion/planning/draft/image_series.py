@@ -23,15 +23,20 @@ if TYPE_CHECKING:
     from photogram.images.sequence import ImageSequence
 
 MOST_FILES = 100_000  # images that are examined in one folder
-DEEPEST = 2  # folders below the recording that may contain images
+DEEPEST = 4  # folders below the recording that may contain images
 FEWEST_ALONE = 8  # least number of frames of a camera by itself; fewer are photographs
 FEW_FILES = 4  # files of many pages that are cameras, not parts of one series
 LOOKED_AT = 4  # images of a camera from which its bit depth is estimated
 GREY_BITS = (8, 10, 12, 14, 16)  # usual bit depths of cameras
 SHARED = 0.5  # least share of frame numbers that two cameras have in common, if they have any
 PAUSE = 3.0  # step of the frame number from one camera to the next, over the steps within a camera
-OTHER_FOLDERS = re.compile(r"[ck]alib|target|dark|flat|result|report|backup", re.IGNORECASE)
+OTHER_FOLDERS = re.compile(r"[ck]alib|target|dark|flat|result|report|backup|thumb|preview", re.IGNORECASE)
 """Folders of images that belong to no recording."""
+UNREADABLE = (
+    ".jpg", ".jpeg", ".pgm", ".ppm", ".gif", ".webp", ".jp2", ".raw", ".dng", ".b16", ".pcoraw", ".seq", ".im7", ".imx",
+    ".rec", ".ser", ".wmv", ".mpg", ".mpeg",
+)  # fmt: skip
+"""Files of cameras that have no reader."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +62,26 @@ class FoundCamera:
         return f"{self.frames} frames of {self.size_px[0]} x {self.size_px[1]} px"
 
 
-def find_images(folder: Path) -> list[Path]:
-    """Return the images and videos of a recording and its folders, in natural order."""
+def find_images(folder: Path) -> tuple[list[Path], list[FoundCamera]]:
+    """Return the images and videos of a recording, and those without a reader."""
     found: list[Path] = []
+    unreadable: dict[str, list[Path]] = defaultdict(list)
     level = [folder]
     for depth in range(DEEPEST + 1):
         entries = [entry for place in level for entry in place.iterdir()]
         files = [path for path in entries if path.suffix.lower() in SUFFIXES and path.is_file()]
         found += sorted(files[:MOST_FILES], key=lambda path: (str(path.parent), natural_key(path.name)))
+        for path in entries:
+            if path.suffix.lower() in UNREADABLE and path.is_file():
+                unreadable[(path.parent.relative_to(folder) / f"*{path.suffix}").as_posix()].append(path)
         below = (entry for entry in entries if depth < DEEPEST and entry.is_dir())
         level = sorted(p for p in below if not p.name.startswith(".") and not OTHER_FOLDERS.search(p.name))
-    return found
+    why = "no reader; save the images as TIFF or PNG, without loss"
+    others = [
+        FoundCamera(pattern, len(paths), (0, 0), 8, 0, None, f"{len(paths)} files, {why}", tuple(paths))
+        for pattern, paths in unreadable.items()
+    ]
+    return found, others
 
 
 def find_cameras(folder: Path, images: Sequence[Path]) -> list[FoundCamera]:
@@ -125,7 +139,21 @@ def _camera_numbers(columns: Sequence[Sequence[str]]) -> list[int]:
         return []
     counter = max(varying, key=lambda i: (len(set(columns[i])), i))
     frame = [int(value) for value in columns[counter]]
-    return [i for i in varying if i != counter and _is_of_cameras(columns[i], frame)]
+    others = {i: [tuple(int(columns[k][n]) for k in varying if k != i) for n in range(len(frame))] for i in varying}
+    return [
+        i for i in varying if i != counter and (_alternates(columns[i], others[i]) or _is_of_cameras(columns[i], frame))
+    ]
+
+
+def _alternates(values: Sequence[str], others: Sequence[tuple[int, ...]]) -> bool:
+    """Return whether every value occurs once in each round of frames.
+
+    The other numbers order the frames.
+    """
+    cameras = len(set(values))
+    order = [values[i] for i in sorted(range(len(values)), key=lambda i: others[i])]
+    rounds = [order[i : i + cameras] for i in range(0, len(order), cameras)]
+    return len(rounds) >= FEWEST_ALONE and all(len(set(part)) == cameras for part in rounds)
 
 
 def _is_of_cameras(values: Sequence[str], frame: Sequence[int]) -> bool:

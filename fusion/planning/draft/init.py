@@ -96,8 +96,17 @@ def _survey(folder: Path) -> list[Inventory]:
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
         expected = "recorders' files or images in this folder or directly below"
-        raise InputError(NO_RECORDED_FILES, folder, found="none", expected=expected)
+        raise InputError(NO_RECORDED_FILES, folder, found=_deeper(folder) or "none", expected=expected)
     return found
+
+
+def _deeper(folder: Path) -> str:
+    """Return the folders farther below whose own folders are recordings, in words."""
+    entries = sorted(path for path in folder.glob("*/*") if path.is_dir())
+    campaigns = dict.fromkeys(
+        path.parent.relative_to(folder).as_posix() for path in entries if is_recording_folder(path)
+    )
+    return f"some below {', '.join(campaigns)}: draft each of these folders" if campaigns else ""
 
 
 def _draft(

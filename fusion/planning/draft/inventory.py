@@ -19,7 +19,7 @@ from fusion.planning.draft.image_series import FoundCamera, find_cameras, find_i
 from fusion.recording.manifest import SCAN
 from photogram.images.image_files import SUFFIXES as IMAGE_SUFFIXES
 from shaker.io import EXPORTS, SUFFIXES, read_channels
-from shaker.io.channel import open_hdf5
+from shaker.io.channel import MissingRateError, open_hdf5, time_unit
 from shaker.io.table import is_table, table_units
 from shaker.io.table_head import split_unit
 from shaker.timebase.edges import Edges, find_edges
@@ -33,6 +33,7 @@ SAME_PULSES = 1e-4  # relative difference of the rates of two channels with the 
 UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their median; correlation with their order
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 LEAST_COUNT = 8  # samples that may be numbers of rows
+STEPS, UNEVEN = 1000, 0.02  # samples whose steps are compared; their spread over the median
 TABLE_KEYS = {"frequency_hz"}
 FOREIGN = (".yml", ".yaml", ".xml", ".caldat")
 FOREIGN_WORDS = re.compile(rb"opencv-matrix|opencv_storage|camera_m(atrix|odel)|<calibration|Cam0_Fx|<ParameterList")
@@ -40,6 +41,8 @@ FOREIGN_WORDS = re.compile(rb"opencv-matrix|opencv_storage|camera_m(atrix|odel)|
 HDF5 = (".h5", ".hdf5")
 TDMS, TABLES = ".tdms", (".csv", ".txt", ".dat")
 TEXTS = (".txt", ".dat")  # of recorders or of people
+OTHER_FILES = {*EXPORTS, *IMAGE_SUFFIXES, ".toml", ".json", ".xml", ".html", ".md", ".pdf", ".py", ".m", ".ini", ".zip"}
+"""Suffixes of files that are examined elsewhere or are no tables."""
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
 """Attributes that may list the names of a table's columns."""
 MOST_LABELS = 10_000  # texts in a list of column names
@@ -65,8 +68,8 @@ class TriggerPulses:
 class FoundChannel:
     """A channel of a file with unit, rate, length, range and pulses.
 
-    `label`: its name in a list of the file's columns, empty without one. `short`: its name without group or unit, if
-    the reader accepts it, otherwise that in the file.
+    `rate_hz`: 0 if the file states none; `label`: its name in a list of the file's columns, empty without one.
+    `short`: its name without group or unit, if the reader accepts it, otherwise that in the file.
     """
 
     name: str
@@ -89,13 +92,14 @@ class FoundChannel:
 class FoundDaq:
     """A file of a recorder with its channels, or its problem.
 
-    `raw`: the samples by the name of the channel.
+    `raw`: the samples by the name of the channel; `rate_missing`: with a rate of 1 Hz, since the file states none.
     """
 
     path: Path
     channels: tuple[FoundChannel, ...]
     raw: dict[str, RawChannel]
     problem: str = ""
+    rate_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -155,7 +159,7 @@ def survey_folder(folder: Path) -> Inventory:
     points = tuple(_points(path, columns) for path, columns in tables.items() if {"x", "y", "z"} <= set(columns))
     taken = {*responses, *(item.path for item in points)}
     recorders = [path for path in files if _is_recorder_file(path) and path not in taken]
-    images = find_images(folder)
+    images, unreadable = find_images(folder)
     calibrations = find_calibrations(calibration_folders(folder))
     cameras = find_cameras(folder, images)
     sizes = {camera.size_px for camera in cameras}
@@ -166,7 +170,7 @@ def survey_folder(folder: Path) -> Inventory:
         folder,
         tuple(map(_daq, [*recorders, *unsupported])),
         sights,
-        single,
+        (*single, *unreadable),
         points,
         responses,
         tuple(path for path in files if path not in classified and path.suffix != ".toml"),
@@ -184,7 +188,7 @@ def is_recording_folder(folder: Path) -> bool:
 def _is_recorder_file(path: Path) -> bool:
     """Return whether a file is a recorder's, by its suffix or its table."""
     suffix = path.suffix.lower()
-    return suffix in SUFFIXES and (suffix not in TEXTS or is_table(path))
+    return (suffix in SUFFIXES and suffix not in TEXTS) or (suffix not in OTHER_FILES and is_table(path))
 
 
 def _is_result(path: Path) -> bool:
@@ -225,17 +229,21 @@ def _daq(path: Path) -> FoundDaq:
     maker, _, export = EXPORTS.get(path.suffix.lower(), "").partition(": ")
     if maker:
         return FoundDaq(path, (), {}, f"{maker}; {export}")
-    try:
-        raw = read_channels(path)
-    except (OSError, ValueError) as error:
-        return FoundDaq(path, (), {}, str(error).removeprefix(f"{path}: "))
+    if path.suffix.lower() not in SUFFIXES:
+        return FoundDaq(path, (), {}, "a text table; end its name in .txt")
+    raw, problem, missing = _read(path)
+    if problem:
+        renamed = path.suffix.lower() == SCAN and is_table(path)
+        return FoundDaq(path, (), {}, "a text table and no scan; end its name in .txt" if renamed else problem)
     if path.suffix.lower() == SCAN:
         raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
     labels = _column_labels(path, raw) if path.suffix.lower() in HDF5 else {}
-    channels = {name: channel for name, channel in raw.items() if not _is_empty_or_count(channel)}
+    channels = {name: channel for name, channel in raw.items() if not _is_empty_or_time(channel)}
     short = _short_names(path, raw)
     made = (_channel(name, channel, labels.get(name, "")) for name, channel in channels.items())
-    return FoundDaq(path, tuple(replace(found, short=short[found.name]) for found in made), channels)
+    named = tuple(replace(found, short=short[found.name]) for found in made)
+    named = tuple(replace(channel, rate_hz=0.0) for channel in named) if missing else named
+    return FoundDaq(path, named, channels, rate_missing=missing)
 
 
 def _short_names(path: Path, names: Iterable[str]) -> dict[str, str]:
@@ -249,12 +257,31 @@ def _short_names(path: Path, names: Iterable[str]) -> dict[str, str]:
     return {name: plain if count[plain] == 1 and plain not in short else name for name, plain in short.items()}
 
 
-def _is_empty_or_count(channel: RawChannel) -> bool:
-    """Return whether a channel has no samples, or numbers them."""
+def _read(path: Path) -> tuple[dict[str, RawChannel], str, bool]:
+    """Return the channels of a file or its problem, and whether its rate is missing."""
+    try:
+        return read_channels(path), "", False
+    except MissingRateError:
+        with suppress(OSError, ValueError):
+            return read_channels(path, sample_rate_hz=1.0), "", True
+        return {}, "no channel has a sampling rate; give sample_rate", False
+    except (OSError, ValueError) as error:
+        return {}, str(error).removeprefix(f"{path}: "), False
+
+
+def _is_empty_or_time(channel: RawChannel) -> bool:
+    """Return whether a channel has no samples, or rises in equal steps as times do."""
     samples = channel.samples
     if not np.isfinite(samples).any():
         return True
-    return len(samples) > LEAST_COUNT and samples[0] in (0.0, 1.0) and bool(np.all(np.diff(samples) == 1.0))
+    if len(samples) <= LEAST_COUNT or not (steps := np.diff(samples[:STEPS])).min() > 0.0:
+        return False
+    if samples[0] in (0.0, 1.0) and np.all(np.diff(samples) == 1.0):
+        return True
+    if channel.unit and not time_unit(channel.unit):
+        return False
+    even = float(np.ptp(steps)) <= UNEVEN * float(np.median(steps)) + 4.0 * float(np.spacing(np.abs(samples).max()))
+    return even and bool(np.all(np.diff(samples) > 0.0))
 
 
 def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:

@@ -259,6 +259,8 @@ def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[st
     yield "\n[[daq]]"
     yield key_line("name", path.stem)
     yield key_line("file", path.name)
+    if recorder.daq.rate_missing:
+        yield question_line("sample_rate", "sampling rate in Hz, which the file does not state")
     yield optional_line("clock_uncertainty", 1e-6, "relative, of its sample rate")
     for name, trigger in recorder.copies:
         yield f"# {json.dumps(name, ensure_ascii=False)} has the same pulses as {trigger}"
@@ -307,7 +309,8 @@ def _scale_questions(item: ChannelGuess) -> Iterator[tuple[str, str]]:
 def _channel_block(item: ChannelGuess, shared: Mapping[str, str], *, scan: bool) -> Iterator[str]:
     """Yield the required keys of a channel; `shared`: those that its block has."""
     found = item.found
-    size = f"{found.samples} samples at {found.rate_hz:g} Hz, {found.low:.4g} to {found.high:.4g} {found.unit}"
+    rate = f" at {found.rate_hz:g} Hz" if found.rate_hz else ""
+    size = f"{found.samples} samples{rate}, {found.low:.4g} to {found.high:.4g} {found.unit}"
     yield key_line("name", item.name, size.strip())
     if item.name not in (found.name, found.short):
         yield key_line("in_file", found.short or found.name)
