@@ -8,7 +8,7 @@ export OMP_WAIT_POLICY := passive
 # Processes that check types side by side, where mypy knows how to.
 export MYPY_NUM_WORKERS := auto
 
-.PHONY: demo test validate lint types platforms win32 darwin docs gallery docs-pictures sample-images benchmark wheel clean
+.PHONY: demo test validate lint types platforms win32 darwin docs gallery docs-pictures sample-images benchmark dic-challenge wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force

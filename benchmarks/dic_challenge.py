@@ -131,15 +131,15 @@ def measure(program: str, side_px: int, result: Path) -> Measured:
 
 def with_u(value: float, samples: Samples, digits: int) -> str:
     """Return a value and its standard uncertainty, the standard deviation of its resamples."""
-    return f"{value:.{digits}f} ({np.nanstd(samples):.{digits}f})"
+    return f"{value:.{digits}f} ({np.nanstd(samples):.{digits}f})".replace("-", "−")
 
 
 def size_table(results: Results, title: str, cells: dict[tuple[str, int], str], first: list[str]) -> str:
     """Return a table of programs over sizes; `first`: rows before them."""
     head = f"| {title} | {' | '.join(f'{side} px' for side in SIDES_PX)} |"
     programs = list(dict.fromkeys(program for program, _ in results))
-    rows = [row(program, *(cells.get((program, side), "–") for side in SIDES_PX)) for program in programs]
-    return markdown_table(head, first + [line for line in rows if set(line.split(" | ")[1:]) != {"–"}])
+    lines = [(program, *(cells.get((program, side), "–") for side in SIDES_PX)) for program in programs]
+    return markdown_table(head, first + [row(*line) for line in lines if set(line[1:]) != {"–"}])
 
 
 def row(*cells: str) -> str:
@@ -162,14 +162,20 @@ def star_tables(results: Results) -> dict[str, str]:
             {k: with_u(m.resolution, m.resamples.resolution, 1) for k, m in items},
             predicted,
         ),
+        "dic-lasting": (
+            "MEI over shakercal's, λ by the running mean",
+            {k: lasting_text(m, results) for k, m in items},
+            [],
+        ),
+        "dic-time": ("user CPU over shakercal's", {k: time_text(m, results) for k, m in items}, []),
         "dic-noise": ("σ in mpx", {k: with_u(1e3 * m.noise, 1e3 * m.resamples.noise, 1) for k, m in items}, []),
     }
     tables = {name: size_table(results, *arguments) for name, arguments in columns.items()}
     head = (
         f"| program, {DETAILED_PX} px | version | bias b in mpx | λ by the running mean in px | missing points "
-        "| longest period of one in px | user CPU over shakercal's |"
+        "| longest period of one in px |"
     )
-    details = [detail_row(m, results) for (_, side), m in items if side == DETAILED_PX]
+    details = [detail_row(m) for (_, side), m in items if side == DETAILED_PX]
     stated = [stated_row(m) for (program, side), m in items if side in STATED_PX and np.isfinite(m.u_px).any()]
     title = "| program | subset in px | missing | error > 0.1 px | of these > 5 u | standard deviation of error / u |"
     return {**tables, "dic-details": markdown_table(head, details), "dic-stated": markdown_table(title, stated)}
@@ -189,9 +195,24 @@ def ratio_text(measured: Measured, results: Results) -> str:
         return "–"
     pair = [measured, own]
     seen = [np.isfinite(each.field.shifts[:, 0]) for each in pair]
-    if not np.array_equal(*seen):
+    if not np.array_equal(seen[0], seen[1]):
         pair = [at_points(each, seen[0] & seen[1]) for each in pair]
     return with_u(pair[0].mei / pair[1].mei, pair[0].resamples.mei / pair[1].resamples.mei, 3)
+
+
+def lasting_text(measured: Measured, results: Results) -> str:
+    """Return the MEI with λ by the running mean over that of our subsets; – where points above λ are missing."""
+    own = results[f"{OWN}, {measured.shape}", measured.side_px]
+    lasting = [lasting_resolution_px(each.field) for each in (measured, own)]
+    if own is measured or lasting[0] > 2.0 * measured.resolution or lasting[1] > 2.0 * own.resolution:
+        return "–"
+    return f"{lasting[0] * measured.noise / (lasting[1] * own.noise):.2f}"
+
+
+def time_text(measured: Measured, results: Results) -> str:
+    """Return the user CPU time per subset over that of our subsets."""
+    own = results[f"{OWN}, {measured.shape}", measured.side_px]
+    return "–" if own is measured else f"{measured.user_us / own.user_us:.1f}"
 
 
 def at_points(measured: Measured, used: NDArray[np.bool_]) -> Measured:
@@ -206,9 +227,9 @@ def at_points(measured: Measured, used: NDArray[np.bool_]) -> Measured:
     )
 
 
-def detail_row(measured: Measured, results: Results) -> str:
-    """Return bias, missing points and time of one program."""
-    own, (missing, longest) = results[f"{OWN}, {measured.shape}", measured.side_px], measured.missing
+def detail_row(measured: Measured) -> str:
+    """Return bias and missing points of one program."""
+    missing, longest = measured.missing
     return row(
         measured.program,
         measured.version,
@@ -216,7 +237,6 @@ def detail_row(measured: Measured, results: Results) -> str:
         f"{lasting_resolution_px(measured.field):.1f}",
         f"{missing} of {len(measured.field.points)}",
         "–" if np.isnan(longest) else f"{longest:.1f}",
-        f"{measured.user_us / own.user_us:.1f}",
     )
 
 
@@ -252,7 +272,8 @@ def stereo_tables(package: Path, python: Path, results: Path) -> dict[str, str]:
     for name, case in CASES.items():
         peer = peer_surface(package, name, python, results)
         found[name] = {OWN: our_surface(package, case, peer.points), "pyvale": peer}
-    plate = [row(program, *plate_cells(CASES["plate"], each)) for program, each in found["plate"].items()]
+    common = np.all([np.isfinite(each.position_mm).all(axis=2) for each in found["plate"].values()], axis=0)
+    plate = [row(program, *plate_cells(CASES["plate"], each, common)) for program, each in found["plate"].items()]
     both = np.isfinite([each.position_mm[0, :, 2] for each in found["challenge"].values()]).all(axis=0)
     specimen = []
     for program, each in found["challenge"].items():
@@ -263,7 +284,9 @@ def stereo_tables(package: Path, python: Path, results: Path) -> dict[str, str]:
     limits = (f"{1e3 * np.median(apart):.2f} µm", f"{1e3 * np.percentile(apart, 95):.1f} µm")
     return {
         "dic-plate": markdown_table(
-            "| plate | worst mean error x, y in nm | z | worst standard deviation x, y in nm | z | points |", plate
+            "| plate | largest mean error x, y in nm | z | largest standard deviation x, y in nm | z | points at rest "
+            "| after 500 µm |",
+            plate,
         ),
         "dic-specimen": markdown_table(
             "| specimen | points found | distance from the epipolar line in mpx: median | 95 % |", specimen
@@ -273,13 +296,14 @@ def stereo_tables(package: Path, python: Path, results: Path) -> dict[str, str]:
     }
 
 
-def plate_cells(case: Case, surface: Surface) -> list[str]:
-    """Return the largest error and scatter of the displacements of a plate over its states."""
+def plate_cells(case: Case, surface: Surface, common: NDArray[np.bool_]) -> list[str]:
+    """Return the largest error and scatter of a plate's displacements over its states, at common points (F,N)."""
     moved = 1e3 * (surface.position_mm - surface.position_mm[0])[1:]
-    error = moved - np.array(case.true_um)[1:, None]
+    error = np.where(common[1:, :, None], moved - np.array(case.true_um)[1:, None], np.nan)
     numbers = [np.abs(np.nanmean(error, axis=1)).max(axis=0), np.nanstd(error, axis=1).max(axis=0)]
     cells = [f"{NM * value:.1f}" for each in numbers for value in (each[:2].max(), each[2])]
-    return [*cells, f"{int(np.isfinite(error).all(axis=(0, 2)).sum())} of {len(surface.points)}"]
+    found = np.isfinite(surface.position_mm).all(axis=2).sum(axis=1)
+    return [*cells, f"{found[0]}", f"{found[-1]}"]
 
 
 def write_metrics(results: Results, path: Path) -> None:
