@@ -1,7 +1,7 @@
 """Every picture of the docs that shows a part of a page or a figure of a command: `make docs-pictures`.
 
 The pages are those of the gallery (gallery.py). Pictures of the published set-up come from benchmarks/published.py,
-that of the challenge, which needs its images, from benchmarks/challenge.py; drawings come from `python docs/drawings`.
+those of the DIC Challenge, which need its images, from `make dic-challenge`; drawings come from `python docs/drawings`.
 """
 
 from __future__ import annotations
