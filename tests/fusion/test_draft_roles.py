@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import h5py
 import numpy as np
 import pytest
@@ -178,3 +180,25 @@ def test_a_table_of_another_suffix_is_listed(tmp_path):
         )
     assert [text.partition(":")[0] for text in survey_folder(tmp_path).unreadable] == ["log.asc", "log.prn"]
     assert all(".txt" in text for text in survey_folder(tmp_path).unreadable)
+
+
+def test_a_folder_of_the_recorder_next_to_folders_of_images_is_one_recording(tmp_path, demo_recording):
+    (tmp_path / "daq").mkdir()
+    (stated,) = demo_recording.rglob("recording.toml")
+    for path in stated.parent.iterdir():
+        if path.suffix == ".h5":
+            shutil.copy(path, tmp_path / "daq")
+        elif path.is_dir():
+            shutil.copytree(path, tmp_path / "cams" / path.name)
+    manifest = recording(tmp_path)
+    assert {block["file"] for block in manifest["daq"]} == {"daq/bridge.h5", "daq/vibrometer.h5"}
+    assert {block["left"].split("/")[1] for block in manifest["images"]} == {"base-left", "top-left"}
+
+
+def test_recordings_without_images_next_to_a_folder_of_images_are_recordings(tmp_path):
+    for name in ("Fz-0080", "Fz-0106"):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name / "a.h5", {"laser": np.sin(503 * TIME)}, {"laser": "m/s"})
+    (tmp_path / "photographs").mkdir()
+    cv2.imwrite(str(tmp_path / "photographs" / "rig.png"), np.zeros((40, 60), np.uint8))
+    assert {path.parent.name for path in draft(tmp_path).files} >= {"Fz-0080", "Fz-0106"}

@@ -13,7 +13,7 @@ from fusion.base import natural_key
 from fusion.errors import InputError
 from fusion.planning.draft.channel_guess import HEAD, optional_line
 from fusion.planning.draft.excitation_guess import driven_axis
-from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
+from fusion.planning.draft.inventory import Inventory, is_recording_folder, recorder_folder, survey_folder
 from fusion.planning.draft.manifest_drafts import RECORDING_KEYS, SurveyedRecording, recording_text, rig_text
 from fusion.planning.draft.questions import ask, with_answers
 from fusion.planning.planning_notices import (
@@ -185,7 +185,7 @@ def _recordings(folder: Path) -> list[Path]:
     try:
         if (folder / RECORDING_NAME).exists():
             raise InputError(MANIFEST_EXISTS, folder, found="one", expected=f"a folder without {RECORDING_NAME}")
-        if is_recording_folder(folder):
+        if is_recording_folder(folder) or recorder_folder(folder):
             return [folder]
         below = sorted(
             (entry for entry in folder.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name)
@@ -286,7 +286,7 @@ def _same_recorder(block: dict[str, Any], inventory: Inventory, moved: Any) -> d
     ]
     names = {str(entry.get("in_file", entry.get("name"))) for entry in channels}
     having = [
-        daq.path.name
+        inventory.path_of(daq)
         for daq in inventory.daqs
         if names <= {name for channel in daq.channels for name in (channel.name, channel.short)}
     ]

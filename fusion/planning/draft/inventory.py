@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 SAME_PULSES = 1e-4  # relative difference of the rates of two channels with the same pulses
 UNEQUAL, VERY_UNEQUAL, DECAYING = 0.15, 1.0, 0.8  # spread of heights over their median; correlation with their order
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
-LEAST_COUNT = 8  # samples that may be numbers of rows
+LEAST_COUNT = 8  # samples that may be numbers of rows; a record without a rate has more
 STEPS, UNEVEN = 1000, 0.02  # samples whose steps are compared; their spread over the median
 TABLE_KEYS = {"frequency_hz"}
 FOREIGN = (".yml", ".yaml", ".xml", ".caldat")
@@ -140,10 +140,16 @@ class Inventory:
     responses: tuple[Path, ...]
     others: tuple[Path, ...]
 
+    def path_of(self, daq: FoundDaq) -> str:
+        """Return the path of a recorder's file in the folder, as manifests state it."""
+        return daq.path.relative_to(self.folder).as_posix()
+
     @property
     def unreadable(self) -> list[str]:
         """Files of recorders that cannot be read, each with the reason."""
-        return [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in self.daqs if not daq.channels]
+        return [
+            f"{self.path_of(daq)}: {daq.problem or 'no channel over time'}" for daq in self.daqs if not daq.channels
+        ]
 
     @property
     def empty(self) -> bool:
@@ -153,7 +159,9 @@ class Inventory:
 
 def survey_folder(folder: Path) -> Inventory:
     """Read the files of a folder and of the image folders below it."""
-    files = sorted((path for path in folder.iterdir() if path.is_file()), key=lambda path: natural_key(path.name))
+    places = filter(None, (folder, recorder_folder(folder)))
+    found = (path for place in places for path in place.iterdir() if path.is_file())
+    files = sorted(found, key=lambda path: natural_key(path.name))
     tables = {path: _columns(path) for path in files if path.suffix.lower() == ".csv"}
     responses = tuple(path for path, columns in tables.items() if set(columns) >= TABLE_KEYS)
     points = tuple(_points(path, columns) for path, columns in tables.items() if {"x", "y", "z"} <= set(columns))
@@ -183,6 +191,20 @@ def is_recording_folder(folder: Path) -> bool:
     if any(_is_result(path) for path in files if path.suffix.lower() in HDF5):
         return False
     return any(path.suffix.lower() in IMAGE_SUFFIXES or _is_recorder_file(path) for path in files)
+
+
+def recorder_folder(folder: Path) -> Path | None:
+    """Return the folder of the recorder's files of a recording whose images are in folders next to it.
+
+    It is the only one with such files, and has no images.
+    """
+    if any(_is_recorder_file(path) for path in folder.iterdir() if path.is_file()):
+        return None
+    below = [path for path in folder.iterdir() if path.is_dir()]
+    having = [path for path in below if any(_is_recorder_file(file) for file in path.iterdir() if file.is_file())]
+    if len(having) != 1 or find_images(having[0])[0] or not find_images(folder)[0]:
+        return None
+    return having[0]
 
 
 def _is_recorder_file(path: Path) -> bool:
@@ -263,7 +285,9 @@ def _read(path: Path) -> tuple[dict[str, RawChannel], str, bool]:
         return read_channels(path), "", False
     except MissingRateError:
         with suppress(OSError, ValueError):
-            return read_channels(path, sample_rate_hz=1.0), "", True
+            raw = read_channels(path, sample_rate_hz=1.0)
+            if any(len(channel.samples) > LEAST_COUNT for channel in raw.values()):
+                return raw, "", True
         return {}, "no channel has a sampling rate; give sample_rate", False
     except (OSError, ValueError) as error:
         return {}, str(error).removeprefix(f"{path}: "), False

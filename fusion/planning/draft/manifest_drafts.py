@@ -242,7 +242,7 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     lines += [optional_line(*entry) for entry in RECORDING_KEYS]
     lines += excitation_lines(folder.name, found, surveyed.lines)
     for recorder in found:
-        lines += _daq_block(recorder, inventory.responses)
+        lines += _daq_block(recorder, inventory.path_of(recorder.daq), inventory.responses)
     lines += _frames(inventory, found, pair_names)
     left = [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
     if left:
@@ -253,12 +253,12 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
 # The blocks of a recording.
 
 
-def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[str]:
+def _daq_block(recorder: RecorderFile, file: str, responses: Sequence[Path]) -> Iterator[str]:
     """Yield the block of a recorder's file."""
     path = recorder.daq.path
     yield "\n[[daq]]"
     yield key_line("name", path.stem)
-    yield key_line("file", path.name)
+    yield key_line("file", file)
     if recorder.daq.rate_missing:
         yield question_line("sample_rate", "sampling rate in Hz, which the file does not state")
     yield optional_line("clock_uncertainty", 1e-6, "relative, of its sample rate")
