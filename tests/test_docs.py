@@ -60,11 +60,7 @@ LONG = ("compensated_release", "sensitivity_of_a_recording")
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"), key=lambda path: (path.stem in LONG, path))
 
 
-@pytest.mark.parametrize(
-    "example",
-    [*EXAMPLES[:-2], *slow(*EXAMPLES[-2:])],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.parametrize("example", [*EXAMPLES[:-2], *slow(*EXAMPLES[-2:])], ids=lambda path: path.stem)
 def test_examples_run(example: Path) -> None:
     told = subprocess.run([sys.executable, str(example)], cwd=ROOT, capture_output=True, text=True, check=True)
     assert told.stderr == ""

@@ -172,7 +172,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_wrong_input_is_one_sentence(case: str, rewritten: Callable[..., Path], refused: RefusedCommand) -> None:
     changes, expected = REFUSED[case]
-    folder = rewritten()
+    folder = rewritten(stationary=None, rotation=None)
     path = folder / "acceptance.toml"
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     if "translation" in changes:
