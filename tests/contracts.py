@@ -61,3 +61,8 @@ def refused(words: str, call: Callable[..., object], /, *arguments: Any, error: 
     with pytest.raises(error, match=words) as caught:
         call(*arguments, **named)
     return caught.value
+
+
+def slow(*cases: Any) -> list[Any]:
+    """Return further cases of a parametrisation, values or tuples of them, that only `make validate` tries."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]

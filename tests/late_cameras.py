@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -107,6 +108,7 @@ def write(folder: Path, one: Rendering) -> Path:
 # The world.
 
 
+@cache
 def _texture(seed: int) -> np.ndarray:
     side = int(2.2 * RADIUS_M / TEXEL_M)
     pattern = gaussian_filter(np.random.default_rng(seed).standard_normal((side, side)), 0.62e-3 / TEXEL_M)

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from contracts import slow
 
 from fusion.cli import commands
 
@@ -54,7 +55,12 @@ def test_every_page_stands_in_the_contents() -> None:
     assert pages - {"index"} <= listed
 
 
-@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+LONG = ("compensated_release", "sensitivity_of_a_recording")
+"""Examples of seconds: the quick tests call what they call."""
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"), key=lambda path: (path.stem in LONG, path))
+
+
+@pytest.mark.parametrize("example", [*EXAMPLES[:-2], *slow(*EXAMPLES[-2:])], ids=lambda path: path.stem)
 def test_examples_run(example: Path) -> None:
     told = subprocess.run([sys.executable, str(example)], cwd=ROOT, capture_output=True, text=True, check=True)
     assert told.stderr == ""

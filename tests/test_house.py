@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+from syntax_trees import nodes_of, tree_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("shakercal", "photogram", "shaker", "fusion")
@@ -68,12 +69,7 @@ def _modules() -> dict[str, Path]:
 MODULES = _modules()
 
 
-@cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-def _imported(nodes: Iterator[ast.AST]) -> Iterator[str]:
+def _imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Yield the names of imported modules."""
     for node in nodes:
         if isinstance(node, ast.Import):
@@ -86,21 +82,21 @@ def _imported(nodes: Iterator[ast.AST]) -> Iterator[str]:
 @cache
 def _needs(name: str) -> frozenset[str]:
     """Return the modules that are imported together with a module: those its top level names."""
-    inside = {other for other in _imported(iter(_tree(MODULES[name]).body)) if other in MODULES}
+    inside = {other for other in _imported(tree_of(MODULES[name]).body) if other in MODULES}
     return frozenset(inside - {name} - {name.rpartition(".")[0]})
 
 
 @cache
 def _mentions(name: str) -> frozenset[str]:
     """Return the modules that a module imports anywhere: at the top, when a function is called, or for its types."""
-    inside = {other for other in _imported(ast.walk(_tree(MODULES[name]))) if other in MODULES}
+    inside = {other for other in _imported(nodes_of(MODULES[name])) if other in MODULES}
     return frozenset(inside - {name} - {name.rpartition(".")[0]})
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_packages_keep_apart(package: str) -> None:
     for path in (ROOT / package).rglob("*.py"):
-        tops = {name.split(".")[0] for name in _imported(ast.walk(_tree(path)))}
+        tops = {name.split(".")[0] for name in _imported(nodes_of(path))}
         assert not tops & FORBIDDEN[package], f"{path.relative_to(ROOT)} imports {tops & FORBIDDEN[package]}"
 
 
@@ -120,7 +116,7 @@ def test_imports_run_one_way_by_layer(package: str) -> None:
 
 def _calls(name: str, functions: tuple[str, ...]) -> Iterator[str]:
     """Yield the calls in a module of functions whose names end like one of these: `h5py.File(path, 'r')`."""
-    for node in ast.walk(_tree(MODULES[name])):
+    for node in nodes_of(MODULES[name]):
         if isinstance(node, ast.Call):
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if called.endswith(functions):
@@ -172,7 +168,7 @@ def test_few_entries_stand_side_by_side(package: str) -> None:
 
 def _functions() -> Iterator[tuple[str, ast.FunctionDef]]:
     for name, path in MODULES.items():
-        for node in ast.walk(_tree(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef):
                 yield f"{name}.{node.name}", node
 

@@ -66,6 +66,7 @@ def followed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Step]
     return make_once(tmp_path_factory, "followed-laboratory", make)
 
 
+@pytest.mark.slow
 def test_few_values_are_typed_and_one_check_suffices(followed: tuple[Path, list[Step]]) -> None:
     _, steps = followed
     stated = [line for block in blocks(LABORATORY) for line in block.text.splitlines() if block.kind == "change"]
@@ -76,6 +77,7 @@ def test_few_values_are_typed_and_one_check_suffices(followed: tuple[Path, list[
     assert [" wrong" in step.printed for step in checks] == [False]
 
 
+@pytest.mark.slow
 def test_the_results_agree_with_the_truth_within_u(followed: tuple[Path, list[Step]]) -> None:
     folder, _ = followed
     curve = [row for row in rows(folder / "lab/results/curve.csv") if row["channel"] == row["component"] == "Fz"]
@@ -105,6 +107,7 @@ def shown_results(page: str) -> list[list[float]]:
     return [[float(number) for number in numbers] for numbers in found]
 
 
+@pytest.mark.slow
 def test_results_of_the_folder_are_a_certificate(followed: tuple[Path, list[Step]]) -> None:
     folder, _ = followed
     page = (folder / "lab/certificate/certificate.html").read_text(encoding="utf-8")

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from syntax_trees import nodes_of, tree_of
 
 from fusion.commands.measure import notices_page
 from fusion.errors import declared_by_stage, declared_notices
@@ -31,13 +32,8 @@ SHOWN = re.compile(r"\b(text|err|out|str|message|sentence|notices?|told)\b")
 MOST_ASSERTIONS_ON_WORDING = 60
 
 
-@cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-def _identifiers(tree: ast.Module) -> Iterator[str]:
-    for node in ast.walk(tree):
+def _identifiers(path: Path) -> Iterator[str]:
+    for node in nodes_of(path):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield node.name
         elif isinstance(node, ast.arg):
@@ -60,14 +56,14 @@ def test_no_identifier_has_a_word_of_no_field() -> None:
         f"{path.relative_to(ROOT)}: {name}"
         for path in MODULES
         if any(_words(name) & DIALECT for name in set(re.findall(r"\w*[A-Za-z]\w*", path.read_text(encoding="utf-8"))))
-        for name in _identifiers(_tree(path))
+        for name in _identifiers(path)
         if _words(name) & DIALECT
     }
     assert not found, sorted(found)
 
 
 def test_classes_have_one_name_each_and_files_at_most_two() -> None:
-    classes = Counter(node.name for path in MODULES for node in ast.walk(_tree(path)) if isinstance(node, ast.ClassDef))
+    classes = Counter(node.name for path in MODULES for node in nodes_of(path) if isinstance(node, ast.ClassDef))
     files = Counter(path.name for path in MODULES if not path.name.startswith("__"))
     assert not [name for name, count in classes.items() if count > 1]
     assert not [name for name, count in files.items() if count > 2]
@@ -76,7 +72,7 @@ def test_classes_have_one_name_each_and_files_at_most_two() -> None:
 def test_docstrings_begin_with_a_short_line() -> None:
     long = []
     for path in MODULES:
-        for node in ast.walk(_tree(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
                 first = (ast.get_docstring(node) or "").partition("\n")[0]
                 if len(first.split()) > MOST_WORDS_OF_A_FIRST_LINE:
@@ -91,7 +87,7 @@ def _declarations() -> dict[str, tuple[str, ast.Call]]:
     """Return every declaration by the name of its constant, with its module."""
     found: dict[str, tuple[str, ast.Call]] = {}
     for path in MODULES:
-        for node in _tree(path).body:
+        for node in tree_of(path).body:
             call = node.value if isinstance(node, ast.Assign) else None
             if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "DeclaredNotice":
                 (target,) = node.targets
@@ -124,7 +120,7 @@ def test_every_notice_and_error_is_raised_by_its_declaration_with_all_fields() -
     }
     wrong, used = [], set()
     for path in MODULES:
-        for node in ast.walk(_tree(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.Name | ast.Attribute):
                 used.add(node.id if isinstance(node, ast.Name) else node.attr)
             if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") in RAISED and node.args):
@@ -148,15 +144,19 @@ def test_the_page_of_notices_is_that_of_the_declarations() -> None:
     assert page == notices_page(), "make it anew: shakercal explain --markdown > docs/notices.md"
 
 
+@cache
+def _headings(page: Path) -> frozenset[str]:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    heads = (line.strip("# ").lower() for line in lines if line.startswith("#"))
+    return frozenset(re.sub(r"[^\w -]", "", head).replace(" ", "-") for head in heads)
+
+
 @pytest.mark.parametrize("notice", [one for _, one in declared_notices().values()], ids=lambda one: one.code)
 def test_a_notice_says_what_to_do_and_its_link_leads_somewhere(notice) -> None:
     assert notice.effect or notice.remedy or notice.severity == "note"
     if notice.link:
         file, _, heading = notice.link.partition("#")
-        text = (ROOT / "docs" / file).read_text(encoding="utf-8")
-        slugs = {re.sub(r"[^\w -]", "", line.strip("# ").lower()).replace(" ", "-") for line in text.splitlines()
-                 if line.startswith("#")}  # fmt: skip
-        assert not heading or heading in slugs, f"{notice.code}: {notice.link}"
+        assert not heading or heading in _headings(ROOT / "docs" / file), f"{notice.code}: {notice.link}"
 
 
 # Tests assert codes and values, not wording.
@@ -184,6 +184,6 @@ def test_few_tests_hold_wording_in_place() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}"
         for path in sorted((ROOT / "tests").rglob("*.py"))
-        for line in _assertions_on_wording(_tree(path))
+        for line in _assertions_on_wording(tree_of(path))
     ]
     assert len(found) <= MOST_ASSERTIONS_ON_WORDING, (len(found), found)

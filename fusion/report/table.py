@@ -1,7 +1,7 @@
 """Columns of tables, declared once for all views, rounded numbers, notices on pages.
 
-A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) use
-the same declaration, so that names, numbers and heads always agree.
+A list of columns is the declaration of a table. Files (`csv_text`) and pages (`table`) use the same declaration, so
+that names, numbers and heads always agree.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import islice
@@ -165,15 +165,6 @@ def _escaped(text: str) -> str:
 def finite_or_none(value: float | None) -> float | None:
     """Return a finite number, None for NaN, which is an empty cell in a file."""
     return None if value is None or not np.isfinite(value) else float(value)
-
-
-def text_lines(shown: Table) -> Iterator[str]:
-    """Yield the lines of a table in plain text."""
-    plain = [[Markup(cell).striptags() for cell in row] for row in (shown.head, *shown.rows)]
-    widths = [max(len(row[i]) for row in plain) for i in range(len(shown.head))]
-    for row in plain:
-        cells = zip(row, widths, shown.align, strict=True)
-        yield "  ".join(cell.ljust(width) if side == "l" else cell.rjust(width) for cell, width, side in cells).rstrip()
 
 
 def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:

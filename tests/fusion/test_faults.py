@@ -23,6 +23,7 @@ from typing import Any
 import faults
 import pytest
 from cluster_factory import environment, wait_until
+from contracts import slow
 from support import without_pages
 
 from fusion.cli import main
@@ -99,7 +100,7 @@ def test_a_disk_that_refuses_any_write_leaves_everything_as_it_was(there, make_c
     assert status == EXIT_DONE
 
 
-@pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer"])
+@pytest.mark.parametrize("preset", ["rotation", *slow("loads", "elastomer")])
 def test_a_simulation_on_a_full_disk_leaves_no_files(preset, tmp_path, monkeypatch, capsys):
     number, refused = 1, 1
     while refused:

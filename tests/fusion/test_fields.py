@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 from browsing import Page
+from contracts import slow
 from PIL import Image
 from support import complex_of, truth_of
 
@@ -421,7 +422,7 @@ def canvas_pixels(opened: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGB"), dtype=int)
 
 
-@pytest.mark.parametrize("opened", [{"color_scheme": "light"}, {"color_scheme": "dark"}], indirect=True)
+@pytest.mark.parametrize("opened", [{"color_scheme": "light"}, *slow({"color_scheme": "dark"})], indirect=True)
 def test_the_probe_reads_value_u_and_unit(opened, demo_evaluation):
     pair = pair_fields(demo_evaluation)[0]
     canvas, probe, found = field(opened, "canvas").first, field(opened, "probe").first, named(pair)["d-z"]

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from browsing import Page
+from contracts import slow
 from page_outline import self_contained
 from scipy.spatial.transform import Rotation
 from take_factory import POINTS, Shot, write_takes
@@ -305,7 +306,7 @@ def pixels(opened: Page) -> np.ndarray:
 STILL = {"reduced_motion": "reduce"}
 
 
-@pytest.mark.parametrize("opened", [{"color_scheme": "light"}, {"color_scheme": "dark"}], indirect=True)
+@pytest.mark.parametrize("opened", [{"color_scheme": "light"}, *slow({"color_scheme": "dark"})], indirect=True)
 def test_it_plays_until_it_is_paused_and_goes_on(opened):
     first = pixels(opened)
     assert np.count_nonzero(first[..., 3]) > 20_000

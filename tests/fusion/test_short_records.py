@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from contracts import slow
 from instrument_factory import stereo_entry
 from scipy.stats import binom
 
@@ -156,7 +157,7 @@ ANY_LENGTH = [(0.38, 1.0, 100), (0.46, 0.3, 100), (0.61, 1.0, 100), (0.91, 0.3, 
 
 @pytest.mark.parametrize(
     ("beats", "noise", "trials"),
-    [(0.46, 0.3, 12), (2.0, 0.3, 12), *(pytest.param(*case, marks=pytest.mark.slow) for case in ANY_LENGTH)],
+    [(0.46, 0.3, 12), (2.0, 0.3, 12), *slow(*ANY_LENGTH)],
 )
 def test_records_of_any_length_err_as_they_state(beats, noise, trials):
     share, seen = held_over(beats, trials, noise, 1)
@@ -198,7 +199,7 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
 
 @pytest.mark.parametrize(
     ("periods", "trials"),
-    [(0.6, 12), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.6, 80), (1.3, 60), (3.0, 30)))],
+    [(0.6, 12), *slow((0.6, 80), (1.3, 60), (3.0, 30))],
 )
 def test_channels_on_a_tied_clock_err_as_they_state(periods, trials):
     # A channel of another DAQ: its time axis is the tie's, whose rate is uncertain; a slow line of few periods.

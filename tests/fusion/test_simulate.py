@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
-from contracts import refused
+from contracts import refused, slow
 from support import complex_of, folder_contents, truth_of
 
 from fusion.cli import main
@@ -176,7 +176,7 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
     _differ(one, other)
 
 
-@pytest.mark.parametrize("preset", ["rotation", "orientations", "loads", "elastomer", "chirp"])
+@pytest.mark.parametrize("preset", ["rotation", "chirp", *slow("orientations", "loads", "elastomer")])
 def test_the_command_replaces_only_an_earlier_simulation(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -211,6 +211,7 @@ def test_arrays_of_an_answer_travel_in_it():
     assert np.array_equal(array, np.arange(1e5))
 
 
+@pytest.mark.slow
 def test_an_image_refused_by_another_process_gives_the_same_error(demo_recording, tmp_path, monkeypatch):
     shutil.copytree(demo_recording, tmp_path / "demo")
     broken = sorted((tmp_path / "demo" / NAME / "top-right").iterdir())[5]
@@ -316,6 +317,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_pat
     assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
 
 
+@pytest.mark.slow
 def test_an_interruption_ends_all_workers_and_leaves_no_unfinished_file(tmp_path):
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
@@ -367,6 +369,7 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     assert raised.value.values["found"] == f"shakercal {found}"
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.SCHEDULER_TIMEOUT_S", 1.0)
     cluster = Cluster(tmp_path, workers=1)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from alignment_factory import rig_error
-from contracts import refused
+from contracts import refused, slow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -414,6 +414,7 @@ def test_a_bowed_target_is_found_where_it_is_asked_for():
     assert np.abs(found - (height - height.mean())).max() < 1.5e-5
 
 
+@pytest.mark.slow
 def test_points_off_the_lattice_are_found_where_asked_for():
     rng = np.random.default_rng(13)
     print_error = rng.normal(0, 3e-5, FLAT.shape) * [1, 1, 0.5]
@@ -428,7 +429,7 @@ def test_points_off_the_lattice_are_found_where_asked_for():
     assert _largest(free) < 4.5
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 5))])
+@pytest.mark.parametrize("seed", [2, *slow(4, 5)])
 def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     pairs = _session(seed, 10)
     flat, free = (calibrate_pair(pairs, TARGET, shape, lens="polynomial") for shape in ("flat", "free"))

@@ -172,8 +172,8 @@ def test_thousands_of_columns_do_not_take_minutes(tmp_path):
     )
     refused(r"a\.lvm: line \d+: .*10000.*20001", read_channels, path)
     path = tmp_path / "a.csv"
-    path.write_text(",".join(f"c{n}" for n in range(50_000)) + "\n" + ",".join(["1.5"] * 50_000) + "\n")
-    assert len(table_units(path)) == 50_000
+    path.write_text(",".join(f"c{n}" for n in range(15_000)) + "\n" + ",".join(["1.5"] * 15_000) + "\n")
+    assert len(table_units(path)) == 15_000
 
 
 def test_a_path_that_is_no_file_is_refused_before_opening(tmp_path):
