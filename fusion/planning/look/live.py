@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from fusion.base import LocalResult, Settings, Threads
-from fusion.errors import ComputeError, InputError
-from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, fit_motions
-from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, prepare_images
+from fusion.errors import ComputeError, InputError, as_input_error
+from fusion.phasors.set_up import PreparedSetUp, fit_motions
+from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, motion_lines, prepare_images
 from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.phasors.tracked_blocks import prepare_scene, track_block
 from fusion.planning.look.look_notices import LIVE_NOT_POSSIBLE
@@ -35,7 +35,10 @@ from photogram.images.sequence import FrameNumbers, GreyImage, ImageSequence, fu
 from photogram.measure.body import body_motion
 from photogram.measure.follow import BodyScene, FollowedBlock, FollowedFrame, sine_terms
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.sine.aliasing import nearest_clear_rate, separation_bins
+from shaker.lines.frequencies import LineFrequencies
+from shaker.sine.aliasing import CAPTURE, nearest_clear_rate, separation_bins, usable_lines
+from shaker.sine.sine_fit import fit_sines
+from shaker.sine.solve import SineModel
 from shaker.timebase.trigger import PulseWidth, TriggerFit
 from shakercal._common.arrays import FloatArray, IntArray
 
@@ -44,6 +47,7 @@ BLOCK_FRAMES = 32  # tracked by one thread: a compromise of latency and of start
 ALL_SUBSETS, SUBSET_SHARE, MOST_SUBSET_FRAMES = 24, 0.125, 128
 """First frames with subsets, share of the later ones, and their largest number, which limits memory and time."""
 MOST_HARMONICS = 3  # that predict a motion, in addition to its fundamental
+CLEAR = 6.0  # standard uncertainties of an amplitude that is certainly a line
 RATE_UNCERTAINTY = 1e-4
 """Relative standard uncertainty of a camera's nominal rate: that of a common quartz with its ageing."""
 EXACT_S = 1e-9
@@ -161,11 +165,9 @@ class _LivePair:
     submitted: int = 0
     subset_frames: int = 0
 
-    def collect(self, wait_for: int | None = None) -> None:
-        """Add finished blocks in their order; wait until at most `wait_for` are pending."""
-        while self.pending and (
-            self.pending[0][1].done() or (wait_for is not None and len(self.pending) > wait_for)
-        ):
+    def collect(self, most: int | None) -> None:
+        """Add finished blocks in their order; wait until at most `most` are pending, None: do not wait."""
+        while self.pending and (self.pending[0][1].done() or (most is not None and len(self.pending) > most)):
             numbers, block = self.pending.popleft()
             self.add(numbers, block.result().unwrap())
 
@@ -206,7 +208,7 @@ class LiveEvaluation:
         self.settings = Settings()
         self._pairs = {entry.stereo: _LivePair(entry) for entry in self.manifest.images}
         self._threads = Threads()
-        self._state = LiveState({}, 0.0, (), "no frames yet")
+        self._state = LiveState(dict.fromkeys(self._pairs, 0), 0.0, (), "no frames yet")
 
     def __enter__(self) -> LiveEvaluation:
         return self
@@ -247,8 +249,11 @@ class LiveEvaluation:
         frames, pair.waiting = pair.waiting, []
         numbers = [frame.number for frame in frames]
         if pair.scene is None or pair.images is None:
-            pair.images = prepare_images(self.manifest, self._base(numbers[-1] - numbers[0]), *_opened(pair.entry, frames))
-            pair.scene = prepare_scene(pair.images, self.settings, None)
+            pair.images = prepare_images(
+                self.manifest, self._base(numbers[-1] - numbers[0]), *_opened(pair.entry, frames)
+            )
+            with as_input_error(*pair.images.sight.where):
+                pair.scene = prepare_scene(pair.images, self.settings, None)
             lead = 1 + len(pair.scene.lead)
             pair.number, pair.submitted = numbers[:lead], lead
             frames, numbers = frames[lead:], numbers[lead:]
@@ -259,14 +264,17 @@ class LiveEvaluation:
 
     def _scene_of(self, pair: _LivePair, frames: Sequence[LiveFrame]) -> BodyScene:
         """Return the scene of a block of frames, which begins with its frame 0."""
-        assert pair.scene is not None and pair.images is not None
+        assert pair.scene is not None
+        assert pair.images is not None
         names = tuple(f"{pair.entry.stereo} {frame.number}" for frame in frames)
         cameras = tuple(
             replace(camera, names=names, reader=partial(_image_of, frames, side), numbers=None, glimpse=None)
             for side, camera in enumerate(pair.images.cameras)
         )
         count = pair.submitted + np.arange(len(frames))
-        searched = (count < ALL_SUBSETS) | (spread_choice(count, SUBSET_SHARE) & (pair.subset_frames < MOST_SUBSET_FRAMES))
+        searched = (count < ALL_SUBSETS) | (
+            spread_choice(count, SUBSET_SHARE) & (pair.subset_frames < MOST_SUBSET_FRAMES)
+        )
         time_s = np.array([frame.number - pair.number[0] for frame in frames]) / self.rate_hz
         multiples = np.outer(np.arange(1, 2 + MOST_HARMONICS), self.lines_hz).ravel()
         body = replace(pair.scene.body, terms=sine_terms(time_s, multiples))
@@ -279,13 +287,17 @@ class LiveEvaluation:
         trigger = _nominal_trigger(last + 2, self.rate_hz)
         return TimeBase((record,), {(daq.name, entry.name): trigger for entry in daq.channel}, {daq.name: None})
 
-    def state(self, *, complete: bool = True) -> LiveState:
-        """Evaluate the tracked frames; `complete` waits for all frames that were added."""
-        if complete:
+    def state(self, pending: int | None = 0) -> LiveState:
+        """Evaluate the tracked frames.
+
+        Waits until at most `pending` blocks of a pair are being tracked: with 0 for all frames that were added, with
+        None for none.
+        """
+        if pending == 0:
             self.flush()
         for pair in self._pairs.values():
-            pair.collect(0 if complete else None)
-        frames = {name: len(pair.number) for name, pair in self._pairs.items()}
+            pair.collect(pending)
+        frames = {name: len(pair.number) if pair.followed else 0 for name, pair in self._pairs.items()}
         if frames != self._state.frames and any(frames.values()):
             self._state = self._evaluated(frames)
         return self._state
@@ -315,7 +327,8 @@ class LiveEvaluation:
         first = min(pair.number[0] for pair in pairs)
         base = self._base(max(pair.number[-1] for pair in pairs) - first)
         motions = [self._motion(pair, base, np.array(pair.number) - first) for pair in pairs]
-        measured: MeasuredSetUp = fit_motions(PreparedSetUp("", "", self.manifest, base, (), ()), motions)
+        lines = _lines(self.manifest, base, motions, self.lines_hz)
+        measured = fit_motions(PreparedSetUp("", "", self.manifest, base, (), (), lines), motions)
         evaluation = evaluate_set_ups(self.manifest, [measured], self.settings)
         direction, sensor = self.manifest.excitation.direction, self.manifest.rig.sensor
         driven = None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
@@ -334,7 +347,8 @@ class LiveEvaluation:
 
     def _motion(self, pair: _LivePair, base: TimeBase, edges: IntArray) -> StereoMotion:
         """Return the motion of a pair's body in its tracked frames."""
-        assert pair.scene is not None and pair.images is not None
+        assert pair.scene is not None
+        assert pair.images is not None
         timed = frame_sight(self.manifest, base, pair.images.entry, edges - edges[0], 1, int(edges[0]))
         sight = replace(pair.images.sight, time_s=timed.time_s, edge=timed.edge)
         body = body_motion(pair.scene, [tuple(pair.followed)])
@@ -382,11 +396,40 @@ def live(
         for count, frame in enumerate(frames, 1):
             evaluation.add(frame)
             if count % (BLOCK_FRAMES * len(evaluation.pairs)) == 0:
-                state = evaluation.state(complete=False)
+                state = evaluation.state(pending=1)
                 yield state
                 if until is not None and state.driven is not None and state.driven.U_percent <= 100.0 * until:
                     return
         yield evaluation.state()
+
+
+def _lines(
+    manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], nominal_hz: FloatArray
+) -> LineFrequencies:
+    """Return the lines in the motion.
+
+    Where few frames show no floor of noise next to a low alias, they are the stated ones with their harmonics, refined.
+    """
+    try:
+        return motion_lines(manifest, base, motions)[0]
+    except (InputError, ComputeError):
+        shown = max(motions, key=lambda motion: len(motion.sight.time_s))
+        good = np.isfinite(shown.motion.pose).all(axis=1)
+        time_s, pose = shown.sight.time_s[good], shown.motion.pose[good]
+        multiple, label = np.divmod(np.arange((1 + MOST_HARMONICS) * len(nominal_hz)), len(nominal_hz))
+        start_hz = (multiple + 1) * nominal_hz[label]
+        usable, _ = usable_lines(time_s, start_hz)
+        chosen = np.flatnonzero(usable)[np.argsort(start_hz[usable])]
+        model = SineModel(free=tuple(label[chosen].tolist()))
+        fit = fit_sines(time_s, pose, start_hz[chosen], MOTION_COMPONENTS, component_units(0), model=model)
+        found_hz, size = fit.phasors.frequency_hz, np.abs(fit.phasors.value)
+        off_hz = np.abs(found_hz - start_hz[chosen]) - CAPTURE * start_hz[chosen]
+        clear = (size > CLEAR * np.hypot(fit.phasors.u_re, fit.phasors.u_im)).any(axis=1)
+        fundamental = multiple[chosen] == 0
+        if np.any(off_hz > 1.0 / np.ptp(time_s)) or not np.all(clear[fundamental]):
+            raise
+        names = tuple("stated" for _ in chosen)
+        return LineFrequencies(found_hz, fit.u_frequency_hz, nominal_hz[label[chosen]], multiple[chosen] + 1, names, ())
 
 
 # The recording without its recorders, and series of frames in memory.
@@ -418,10 +461,9 @@ def _cameras_only(path: Path, allow_outside: bool) -> Manifest:
     for name, pair in manifest.rig.stereo.items():
         if any(pair.row_time) and any(entry.stereo == name for entry in manifest.images):
             found, expected = "a rolling shutter", "rows that are exposed at once"
-            raise InputError(LIVE_NOT_POSSIBLE, manifest.rig_path, f"stereo.{name}.row_time", found=found, expected=expected)
-    if not manifest.excitation.frequencies:
-        found, expected = "none", "the nominal frequencies of the excitation"
-        raise InputError(LIVE_NOT_POSSIBLE, path, "excitation.frequencies", found=found, expected=expected)
+            raise InputError(
+                LIVE_NOT_POSSIBLE, manifest.rig_path, f"stereo.{name}.row_time", found=found, expected=expected
+            )
     return manifest
 
 

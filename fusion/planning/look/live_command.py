@@ -122,11 +122,11 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
                 except (InputError, ComputeError) as error:
                     output.line(f"{frame.pair}: {error} The next frames are used instead.", "refused")
             now = time.monotonic()
-            last_s = now if new else last_s
+            last_s = now if new or frames.growing else last_s
             if now - last_s > MIN_UPDATE_S:
                 evaluation.flush()
             if now >= due_s:
-                state = evaluation.state(complete=now - last_s > IDLE_S)
+                state = evaluation.state(0 if now - last_s > IDLE_S else None)
                 due_s = time.monotonic() + max(MIN_UPDATE_S, (time.monotonic() - now) / EVALUATION_SHARE)
                 output.state(state, frames.counts, frames.behind)
                 if _is_reached(state, options.until):
@@ -134,6 +134,7 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
                     return True
             if now - last_s > IDLE_S and (files := _identities(recording)) not in (None, tried):
                 tried = files
+                output.state(evaluation.state(), frames.counts, frames.behind)
                 if (reached := _final(recording, options, output)) is not None:
                     return reached
             if not new:
@@ -169,7 +170,7 @@ def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | 
         lines = tuple(f"{name}: {number_text(value, 6)} {unit}" for name, value, _, unit in results)
         reached = options.until is None or max(percents) <= 100 * options.until
         output.page.show_live(LiveHeading(f"U {_percent(max(percents))}", lines, reached))
-    return options.until is None or any(U <= options.until * value for _, value, U, _ in results[:1])
+    return options.until is None or any(options.until * value >= U for _, value, U, _ in results[:1])
 
 
 def _final_results(evaluation: Evaluation) -> Iterator[tuple[str, float, float, str]]:
@@ -204,13 +205,15 @@ def _percent(value: float) -> str:
 
 def describe_state(state: LiveState, until: float | None, counts: FrameCounts, behind_s: float) -> str:
     """Return a state in one line: frames, amplitude with U, prediction, and losses."""
-    parts = [", ".join(f"{name} {count}" for name, count in state.frames.items()) + " frames" if state.frames else ""]
+    parts = [", ".join(f"{name} {count}" for name, count in state.frames.items()) + " frames"]
     value = state.driven
     if value is None:
         parts.append(state.reason or "no acceleration along `excitation.direction`")
     else:
         size = f"{number_text(value.amplitude, 5)} {value.unit} ± {_percent(value.U_percent)}"
-        parts.append(f"{value.body} {value.component} {value.frequency_hz:.6g} Hz: {size} (preliminary, clocks not tied)")
+        parts.append(
+            f"{value.body} {value.component} {value.frequency_hz:.6g} Hz: {size} (preliminary, clocks not tied)"
+        )
         if until is not None:
             parts.append(_describe_aim(state, 100 * until))
     losses = [f"{count} {name}" for name, count in asdict(counts).items() if count]

@@ -81,6 +81,11 @@ class CameraFolder:
         self._sizes = sizes
         self._number()
 
+    @property
+    def growing(self) -> bool:
+        """Whether files may not be complete."""
+        return bool(self._sizes)
+
     def _listed(self) -> list[str]:
         try:
             with os.scandir(self.folder) as entries:
@@ -160,6 +165,11 @@ class FolderFrames:
         """Number of waiting frames, of the pair with most."""
         return max(len(pair.ready()) for pair in self._pairs)
 
+    @property
+    def growing(self) -> bool:
+        """Whether files are being written or wait."""
+        return self.behind > 0 or any(camera.growing for pair in self._pairs for camera in pair.cameras)
+
     def take(self, most: int) -> list[LiveFrame]:
         """Return the next frames of all pairs, at most so many of each."""
         return [frame for pair in self._pairs for frame in self._taken(pair, most)]
@@ -230,7 +240,12 @@ def _pair(recording: Path, block: dict[str, Any]) -> _PairFolders:
     for side in (side for side in ("left", "right") if side in block):
         text = block[side]
         path = PurePosixPath(text) if isinstance(text, str) else None
-        if path is None or not MAGIC.search(path.name) or MAGIC.search(str(path.parent)) or path.suffix in VIDEO_READERS:
+        if (
+            path is None
+            or not MAGIC.search(path.name)
+            or MAGIC.search(str(path.parent))
+            or path.suffix in VIDEO_READERS
+        ):
             found, expected = f"{text!r}", 'a pattern of image files such as "top-left/*.tif"'
             raise InputError(LIVE_NOT_POSSIBLE, recording, f"images.{side}", found=found, expected=expected)
         cameras.append(CameraFolder(recording.parent / path.parent, path.name))
