@@ -24,6 +24,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from threading import Thread
 
+import tifffile
 from large_recording import setups
 from marked import markdown_table, write_marked
 
@@ -62,7 +63,9 @@ def write_recording(folder: Path) -> None:
     preset = read_preset(Preset, "nitsche2018")
     preset = replace(preset, stereo=tuple(setups())[:1], camera_rate_hz=RATE_HZ, frames=PERIOD, fundamental_hz=line_hz)
     draws = Draws(1, False)
-    write_run(folder, rendered_run(preset), make_world(preset, draws, 0.0), draws)
+    recording = write_run(folder, rendered_run(preset), make_world(preset, draws, 0.0), draws)
+    for path in recording.glob("*/*.tif"):  # uncompressed, as cameras write them
+        tifffile.imwrite(path, tifffile.imread(path), photometric="minisblack", metadata=None)
 
 
 def follow(source: Path, rate_hz: float, seconds: float, cores: int) -> str:

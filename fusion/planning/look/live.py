@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,7 +44,7 @@ from shakercal._common.arrays import FloatArray, IntArray
 
 START_FRAMES = 8  # from which a body is prepared
 BLOCK_FRAMES = 32  # tracked by one thread: a compromise of latency and of starts without a prediction
-ALL_SUBSETS, SUBSET_SHARE, MOST_SUBSET_FRAMES = 24, 0.125, 128
+ALL_SUBSETS, SUBSET_SHARE, MOST_SUBSET_FRAMES = 24, 0.125, 64
 """First frames with subsets, share of the later ones, and their largest number, which limits memory and time."""
 MOST_HARMONICS = 3  # that predict a motion, in addition to its fundamental
 CLEAR = 6.0  # standard uncertainties of an amplitude that is certainly a line
@@ -240,11 +240,6 @@ class LiveEvaluation:
             if pair.waiting and pair.scene is not None:
                 self._submit(pair)
 
-    @property
-    def busy(self) -> bool:
-        """Whether blocks are being tracked."""
-        return any(pair.pending for pair in self._pairs.values())
-
     def _submit(self, pair: _LivePair) -> None:
         frames, pair.waiting = pair.waiting, []
         numbers = [frame.number for frame in frames]
@@ -293,17 +288,29 @@ class LiveEvaluation:
         Waits until at most `pending` blocks of a pair are being tracked: with 0 for all frames that were added, with
         None for none.
         """
+        return self.snapshot(pending)()
+
+    def snapshot(self, pending: int | None = 0) -> Callable[[], LiveState]:
+        """Return the evaluation of the tracked frames as a function, which another thread may call."""
         if pending == 0:
             self.flush()
         for pair in self._pairs.values():
             pair.collect(pending)
         frames = {name: len(pair.number) if pair.followed else 0 for name, pair in self._pairs.items()}
-        if frames != self._state.frames and any(frames.values()):
-            self._state = self._evaluated(frames)
+        ready = [
+            replace(pair, number=[*pair.number], followed=[*pair.followed])
+            for pair in self._pairs.values()
+            if pair.followed
+        ]
+        return partial(self._evaluated, frames, ready)
+
+    def _evaluated(self, frames: dict[str, int], ready: Sequence[_LivePair]) -> LiveState:
+        if frames == self._state.frames or not ready:
+            return self._state
+        self._state = self._state_of(frames, ready)
         return self._state
 
-    def _evaluated(self, frames: dict[str, int]) -> LiveState:
-        ready = [pair for pair in self._pairs.values() if pair.followed]
+    def _state_of(self, frames: dict[str, int], ready: Sequence[_LivePair]) -> LiveState:
         count = min(pair.number[-1] - pair.number[0] + 1 for pair in ready)
         beats = separation_bins(self.lines_hz, self.rate_hz, count)
         if beats < 1.0:

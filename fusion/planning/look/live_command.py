@@ -8,6 +8,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -26,8 +27,8 @@ from fusion.sensitivity.recording_evaluation import evaluate_recording
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
 from shakercal._common.digits import number_text
 
-POLL_S = 0.1  # interval of the listing of the folders
-MIN_UPDATE_S, EVALUATION_SHARE = 1.0, 0.15  # between evaluations, and largest share of the time that they take
+POLL_S = 0.05  # interval of the listing of the folders
+MIN_UPDATE_S, EVALUATION_SHARE = 1.0, 0.25  # between evaluations, and largest share of the time that they take
 IDLE_S = 3.0  # without new frames, after which the recording has ended
 
 
@@ -113,7 +114,11 @@ def run_live(path: Path, options: LiveOptions) -> bool:
 def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
     """Follow one series of frames; return whether the aim is reached, None if the folder was emptied."""
     frames, last_s, due_s, tried = FolderFrames(recording), time.monotonic(), 0.0, object()
-    with LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside) as evaluation:
+    begun_s, job = 0.0, None
+    with (
+        LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside) as evaluation,
+        ThreadPoolExecutor(1) as worker,
+    ):
         while not frames.emptied:
             new = frames.take(BLOCK_FRAMES)
             for frame in new:
@@ -125,16 +130,18 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
             last_s = now if new or frames.growing else last_s
             if now - last_s > MIN_UPDATE_S:
                 evaluation.flush()
-            if now >= due_s:
-                state = evaluation.state(0 if now - last_s > IDLE_S else None)
-                due_s = time.monotonic() + max(MIN_UPDATE_S, (time.monotonic() - now) / EVALUATION_SHARE)
+            if job is None and now >= due_s:
+                begun_s, job = now, worker.submit(evaluation.snapshot(None))
+            if job is not None and job.done():
+                state, job = job.result(), None
+                due_s = now + max(MIN_UPDATE_S, (now - begun_s) / EVALUATION_SHARE)
                 output.state(state, frames.counts, frames.behind)
                 if _is_reached(state, options.until):
                     output.line(f"Aim of {_percent(100 * (options.until or 0))} reached: stop recording.", "reached")
                     return True
             if now - last_s > IDLE_S and (files := _identities(recording)) not in (None, tried):
                 tried = files
-                output.state(evaluation.state(), frames.counts, frames.behind)
+                output.state(worker.submit(evaluation.snapshot()).result(), frames.counts, frames.behind)
                 if (reached := _final(recording, options, output)) is not None:
                     return reached
             if not new:
