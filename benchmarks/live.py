@@ -1,10 +1,13 @@
 """How fast `shakercal look --live` follows a stereo pair of 1280 x 1024 px, and what it costs.
 
-Usage: python benchmarks/live.py [--rates 25 53 80] [--seconds 40] [--keep FOLDER] [--cores 2] [--docs docs]
+Usage: python benchmarks/live.py [--frames 326] [--keep FOLDER] [--docs docs] [--rates 25 53 80 --seconds 40 --cores 2]
 
-Renders one pair whose motion repeats after 80 frames. For each rate the frames are linked into a folder, as a camera
-writes them, while the command analyses them. It is kept to so many cores. Printed, with --docs into live.md there: the
-share of analysed frames, the frames that wait at the end, user CPU time of a pair, and U of the last state.
+Renders one pair whose motion repeats after 80 frames. Printed, with --docs into live.md there: CPU time of reading,
+following and evaluating, and the rate that two cores carry with an evaluation share of `EVALUATION_SHARE`.
+
+With --rates, on a machine without other work, the frames are also linked into a folder, as a camera writes them, while
+the command analyses them on so many cores. Printed: the share of analysed frames, the frames that wait at the end, CPU
+time of a pair, and U of the last state.
 """
 
 from __future__ import annotations
@@ -28,9 +31,12 @@ import tifffile
 from large_recording import setups
 from marked import markdown_table, write_marked
 
+from fusion.planning.look.live import START_FRAMES, LiveEvaluation, LiveFrame
+from fusion.planning.look.live_command import EVALUATION_SHARE
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
+from photogram.images.image_files import open_sequence
 
 RATE_HZ, PERIOD = 53.0, 80  # of the simulation; other rates only feed faster or slower
 HEAD = "| offered frames/s | analysed | waiting at the end | user CPU of a pair / ms | U (95 %) / % |"
@@ -39,7 +45,8 @@ HEAD = "| offered frames/s | analysed | waiting at the end | user CPU of a pair 
 def main() -> None:
     """Render, feed at each rate, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rates", type=float, nargs="+", default=[25.0, 53.0, 80.0])
+    parser.add_argument("--frames", type=int, default=326)
+    parser.add_argument("--rates", type=float, nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for the recording, kept and used again")
@@ -50,9 +57,11 @@ def main() -> None:
         if not (source / "rig.toml").is_file():
             with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
                 pool.submit(write_recording, source).result()
-        rows = [follow(source, rate, options.seconds, options.cores) for rate in options.rates]
-    table = markdown_table(HEAD, rows)
-    print(table)
+        table = markdown_table("| step | CPU time |", costs(source, options.frames))
+        print(table)
+        if options.rates:
+            rows = [follow(source, rate, options.seconds, options.cores) for rate in options.rates]
+            print(markdown_table(HEAD, rows))
     if options.docs:
         write_marked(options.docs / "live.md", {"live rates": table})
 
@@ -66,6 +75,36 @@ def write_recording(folder: Path) -> None:
     recording = write_run(folder, rendered_run(preset), make_world(preset, draws, 0.0), draws)
     for path in recording.glob("*/*.tif"):  # uncompressed, as cameras write them
         tifffile.imwrite(path, tifffile.imread(path), photometric="minisblack", metadata=None)
+
+
+def costs(source: Path, frames: int) -> list[str]:
+    """Return rows: CPU time of the steps, in this process, one after the other."""
+    (given,) = source.glob("*/recording.toml")
+    files = [sorted(folder.glob("*.tif")) for folder in sorted(given.parent.iterdir()) if folder.is_dir()]
+    read_s, follow_s, now = 0.0, list[float](), time.process_time
+    with LiveEvaluation(given, RATE_HZ) as evaluation:
+        (pair,) = evaluation.pairs
+        for number in range(frames):
+            begun = now()
+            images = tuple(open_sequence([side[number % len(side)]]).read(0) for side in files)
+            read_s += now() - begun
+            begun = now()
+            evaluation.add(LiveFrame(pair, number, images))
+            evaluation.snapshot(1 if number < frames - 1 else 0)
+            follow_s.append(now() - begun)
+        begun = now()
+        state = evaluation.state()
+        evaluate_s = now() - begun
+    start_s, each_s = sum(follow_s[:START_FRAMES]), sum(follow_s[START_FRAMES:]) / (frames - START_FRAMES)
+    rate_hz = (2.0 - EVALUATION_SHARE) / (each_s + read_s / frames)
+    assert state.driven is not None
+    return [
+        f"| start, {START_FRAMES} pairs | {start_s:.1f} s |",
+        f"| read a pair, uncompressed TIFF | {1e3 * read_s / frames:.1f} ms |",
+        f"| follow a pair | {1e3 * each_s:.0f} ms |",
+        f"| evaluate {frames} pairs | {evaluate_s:.1f} s |",
+        f"| computed from these: pairs/s that two cores carry | {rate_hz:.0f} |",
+    ]
 
 
 def follow(source: Path, rate_hz: float, seconds: float, cores: int) -> str:

@@ -112,7 +112,7 @@ def test_a_filling_folder_converges_to_the_truth_and_is_evaluated_at_the_end(lon
 
 
 def test_the_number_of_frames_to_an_aim_is_predicted(long_recording):
-    """By the noise of the first 20 frames, for the U of all."""
+    """Too high after few frames, whose noise is not yet known well."""
     with LiveEvaluation(long_recording, RATE_HZ) as evaluation:
         states = []
         for count, frame in enumerate(frames_of(long_recording, FRAMES), 1):
@@ -121,7 +121,9 @@ def test_the_number_of_frames_to_an_aim_is_predicted(long_recording):
                 states.append(evaluation.state())
     middle, last = states
     assert last.frames == {"top": FRAMES}
-    assert middle.frames_to(last.driven.U_percent) == pytest.approx(FRAMES, rel=0.4)
+    assert last.driven.U_percent < 0.1 < middle.driven.U_percent
+    assert 20 < middle.frames_to(0.1) < 300
+    assert last.frames_to(0.1) < FRAMES
 
 
 def test_the_command_stops_when_the_aim_is_reached(long_recording, arriving, capsys):

@@ -65,7 +65,7 @@ class LiveFrame:
     Examples
     --------
     >>> import numpy as np
-    >>> from shakercal import LiveFrame
+    >>> from fusion import LiveFrame
     >>> LiveFrame("top", 0, (np.zeros((4, 6), np.uint8), np.zeros((4, 6), np.uint8))).number
     0
     """
@@ -113,7 +113,7 @@ class LiveState:
 
     Examples
     --------
-    >>> from shakercal import LiveState
+    >>> from fusion import LiveState
     >>> LiveState({"top": 4}, 0.3, (), "not yet resolved").driven is None
     True
     """
@@ -191,7 +191,8 @@ class LiveEvaluation:
 
     Examples
     --------
-    >>> from shakercal import LiveEvaluation, LiveFrame, read_image
+    >>> from fusion import LiveEvaluation, LiveFrame
+    >>> from photogram import read_image
     >>> folder = "sample_images/demo/Fz-0080"
     >>> with LiveEvaluation(folder, 38.345) as evaluation:
     ...     for number in range(24):
@@ -199,7 +200,7 @@ class LiveEvaluation:
     ...         evaluation.add(LiveFrame("top", number, tuple(images)))
     ...     state = evaluation.state()
     >>> f"{state.driven.component} {state.driven.amplitude:.1f} {state.driven.unit}"
-    'z 60.5 m/s^2'
+    'z 81.9 m/s^2'
     """
 
     def __init__(self, recording: str | Path, rate_hz: float, *, allow_outside: bool = False) -> None:
@@ -341,8 +342,11 @@ class LiveEvaluation:
         driven = None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
         for found in (one for one in evaluation.accelerations if one.source == "fused"):
             relative = found.uncertainty.relative_to(found.phasors.value)
-            noise2 = np.sum([part.covariance for part in relative.random], axis=0)
-            whole2 = relative.covariance
+            fitted = [np.einsum("ki,kj->kij", one.effect, one.effect) for one in relative.influences if one.type == "A"]
+            noise2, whole2 = (
+                np.sum([*(part.covariance for part in relative.random), *fitted], axis=0),
+                relative.covariance,
+            )
             for line, frequency in enumerate(found.phasors.frequency_hz.tolist()):
                 for c, polar in enumerate(found.polar[line]):
                     if polar is not None:
@@ -389,7 +393,8 @@ def live(
 
     Examples
     --------
-    >>> from shakercal import LiveFrame, live, read_image
+    >>> from fusion import LiveFrame, live
+    >>> from photogram import read_image
     >>> folder = "sample_images/demo/Fz-0080"
     >>> def camera():  # in place of the software of a camera
     ...     for number in range(24):
@@ -461,7 +466,7 @@ def _cameras_only(path: Path, allow_outside: bool) -> Manifest:
             _in_memory(block, folder, number) if isinstance(block, dict) else block
             for number, block in enumerate(blocks)
         ]
-        manifest = load_manifest(path, allow_outside=True, statements=text)
+        manifest = load_manifest(path, allow_outside=True, text=text)
     if not allow_outside and not path.parent.resolve().is_relative_to(manifest.root):
         load_manifest(path)  # raises the refusal
     manifest.check_command("run")
