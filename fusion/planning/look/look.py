@@ -430,6 +430,8 @@ class WatchedPage:
     def __exit__(self, *reason: object) -> None:
         self._ended.set()
         self._thread.join()
+        if self._live is not None and reason[0] is None:  # the last state, which does not become old
+            write_atomically(self.path, look_page((), None, self._looked_s, live=self._live))
 
     def begin(self) -> None:
         """Show that changed files are being examined."""
@@ -447,6 +449,7 @@ class WatchedPage:
         """Show the state of a live evaluation."""
         with self._lock:
             self._live, self._looked_s = heading, time.time()
+        self._write()
 
     def _write(self) -> None:
         with self._lock:
