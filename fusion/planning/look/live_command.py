@@ -53,8 +53,14 @@ class LiveOutput:
     last: str = ""
     open_line: bool = field(default=False, init=False)
 
-    def state(self, state: LiveState, counts: FrameCounts, behind: int) -> None:
-        """Show a state, if it differs from the last one."""
+    def state(self, state: LiveState, counts: FrameCounts, behind: int) -> bool:
+        """Show a state, if it differs from the last one; return whether the aim is reached."""
+        self._show(state, counts, behind)
+        if reached := _is_reached(state, self.options.until):
+            self.line(f"Aim of {_percent(100 * (self.options.until or 0))} reached: stop recording.", "reached")
+        return reached
+
+    def _show(self, state: LiveState, counts: FrameCounts, behind: int) -> None:
         text = describe_state(state, self.options.until, counts, behind / self.options.rate_hz)
         if self.page is not None:
             self.page.show_live(_heading(state, self.options.until, text))
@@ -67,7 +73,8 @@ class LiveOutput:
                       behind=behind, **asdict(counts))  # fmt: skip
         elif sys.stdout.isatty() and not self.options.quiet:
             width = shutil.get_terminal_size().columns - 1
-            sys.stdout.stream.write("\r" + printable(text)[:width].ljust(width))  # type: ignore[attr-defined]
+            stream = getattr(sys.stdout, "stream", sys.stdout)  # which does not escape the carriage return
+            stream.write("\r" + printable(text)[:width].ljust(width))
             sys.stdout.flush()
             self.open_line = True
         else:
@@ -135,13 +142,12 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
             if job is not None and job.done():
                 state, job = job.result(), None
                 due_s = now + max(MIN_UPDATE_S, (now - begun_s) / EVALUATION_SHARE)
-                output.state(state, frames.counts, frames.behind)
-                if _is_reached(state, options.until):
-                    output.line(f"Aim of {_percent(100 * (options.until or 0))} reached: stop recording.", "reached")
+                if output.state(state, frames.counts, frames.behind):
                     return True
             if now - last_s > IDLE_S and (files := _identities(recording)) not in (None, tried):
                 tried = files
-                output.state(worker.submit(evaluation.snapshot()).result(), frames.counts, frames.behind)
+                if output.state(evaluation.state(), frames.counts, frames.behind):
+                    return True
                 if (reached := _final(recording, options, output)) is not None:
                     return reached
             if not new:
