@@ -343,18 +343,24 @@ class LiveEvaluation:
         for found in (one for one in evaluation.accelerations if one.source == "fused"):
             relative = found.uncertainty.relative_to(found.phasors.value)
             fitted = [np.einsum("ki,kj->kij", one.effect, one.effect) for one in relative.influences if one.type == "A"]
-            noise2, whole2 = (
-                np.sum([*(part.covariance for part in relative.random), *fitted], axis=0),
-                relative.covariance,
-            )
+            noise2 = np.sum([*(part.covariance for part in relative.random), *fitted], axis=0)
+            whole2 = relative.covariance
             for line, frequency in enumerate(found.phasors.frequency_hz.tolist()):
                 for c, polar in enumerate(found.polar[line]):
                     if polar is not None:
                         noise, whole = float(noise2[line, c, c]), float(whole2[line, c, c])
-                        numbers = frequency, polar.magnitude, polar.expanded_magnitude, polar.k, np.sqrt(noise)
-                        along = c == driven and bool(evaluation.lines.multiple[line] == 1)
-                        names = found.body, MOTION_COMPONENTS[c], component_units(2)[c]
-                        yield LiveValue(*names, *map(float, numbers), float(np.sqrt(max(whole - noise, 0.0))), along)
+                        yield LiveValue(
+                            found.body,
+                            MOTION_COMPONENTS[c],
+                            component_units(2)[c],
+                            frequency,
+                            polar.magnitude,
+                            polar.expanded_magnitude,
+                            polar.k,
+                            float(np.sqrt(noise)),
+                            float(np.sqrt(max(whole - noise, 0.0))),
+                            c == driven and bool(evaluation.lines.multiple[line] == 1),
+                        )
 
     def _motion(self, pair: _LivePair, base: TimeBase, edges: IntArray) -> StereoMotion:
         """Return the motion of a pair's body in its tracked frames."""
@@ -437,8 +443,7 @@ def _lines(
         found_hz, size = fit.phasors.frequency_hz, np.abs(fit.phasors.value)
         off_hz = np.abs(found_hz - start_hz[chosen]) - CAPTURE * start_hz[chosen]
         clear = (size > CLEAR * np.hypot(fit.phasors.u_re, fit.phasors.u_im)).any(axis=1)
-        fundamental = multiple[chosen] == 0
-        if np.any(off_hz > 1.0 / np.ptp(time_s)) or not np.all(clear[fundamental]):
+        if np.any(off_hz > 1.0 / np.ptp(time_s)) or np.any(~clear & (multiple[chosen] == 0)):
             raise
         names = tuple("stated" for _ in chosen)
         return LineFrequencies(found_hz, fit.u_frequency_hz, nominal_hz[label[chosen]], multiple[chosen] + 1, names, ())
