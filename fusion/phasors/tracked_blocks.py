@@ -300,7 +300,7 @@ def _answer(images: PreparedImages, pending: Pending) -> Any:
 def prepare_scene(
     images: PreparedImages, settings: Settings, lines: LineFrequencies | None
 ) -> BodyScene:  # a task, so of this module
-    """Return the scene of a pair's body, with subsets in as many frames as the lines need."""
+    """Return the scene of a pair's body, its subsets in enough frames for the lines."""
     from photogram.device import resolve_device
     from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
     from photogram.subsets.find import BodyNotFound

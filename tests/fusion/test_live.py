@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -98,7 +99,7 @@ def test_a_filling_folder_converges_to_the_truth_and_is_evaluated_at_the_end(lon
     driven = [value for state in states for value in state["values"] if value["driven"]]
     true = abs(complex_of(truth_of(long_recording)["acceleration"]["load"])[0, 2])
     assert len(driven) >= 2
-    assert any("of a beat" in state["reason"] for state in states)
+    assert any(0.0 < state["beats"] < 1.0 and not state["values"] for state in states)
     assert all(abs(value["amplitude"] - true) < value["U"] for value in driven), driven
     assert driven[-1]["U"] < driven[0]["U"]
     assert states[-1]["frames"] == {"top": FRAMES - 1}
@@ -130,9 +131,7 @@ def test_the_command_stops_when_the_aim_is_reached(long_recording, arriving, cap
     for side in ("left", "right"):
         shutil.copytree(long_recording / f"top-{side}", arriving / f"top-{side}")
     assert main(["look", "--live", str(arriving), "--rate", str(RATE_HZ), "--until", "0.5"]) == 0
-    text = capsys.readouterr().out
-    assert "preliminary, clocks not tied" in text
-    assert text.rstrip().endswith("Aim of 0.5 % reached: stop recording.")
+    assert capsys.readouterr().out.rstrip().endswith("reached: stop recording.")
 
 
 def test_a_signal_ends_it_without_a_trace(long_recording, arriving):
@@ -155,8 +154,7 @@ def test_a_signal_ends_it_without_a_trace(long_recording, arriving):
 def test_a_rate_without_a_beat_is_named_with_a_better_one(long_recording):
     *_, last = live(long_recording, frames_of(long_recording, 24), 40.0)
     assert last.driven is None
-    assert "40 frames/s do not resolve 80 Hz" in last.reason
-    assert "frames/s would" in last.reason
+    assert re.search(r"\d+\.\d+ frames/s would$", last.reason)
 
 
 def test_what_noise_does_not_limit_is_not_predicted():

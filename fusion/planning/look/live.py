@@ -58,7 +58,7 @@ IN_MEMORY = "live"
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One frame of a stereo pair: name of the pair, frame number, and an image (H, W) of each camera.
+    """Frame of a stereo pair: name, frame number, and an image (H, W) per camera.
 
     Numbers count the camera's triggers: missing ones are lost frames.
 
@@ -130,7 +130,7 @@ class LiveState:
         return min(driven, key=lambda value: (value.body != "load", value.U_percent), default=None)
 
     def frames_to(self, aim_percent: float) -> float:
-        """Return the predicted number of frames until U is the aim, infinite if it cannot be.
+        """Return the predicted number of frames to reach the aim, infinite if never.
 
         The noise part decreases with 1/√frames, the others do not.
         """
@@ -143,7 +143,7 @@ class LiveState:
 
 
 class NominalClock(DaqRecord):
-    """Clock of a camera without a recorder: edges at its nominal rate, pulses of unknown width."""
+    """Clock of a camera without a recorder: edges at its nominal rate."""
 
     def pulse_width(self, trigger: str) -> PulseWidth:
         """Raise `ValueError`: no pulse is recorded."""
@@ -152,7 +152,7 @@ class NominalClock(DaqRecord):
 
 @dataclass
 class _LivePair:
-    """Stereo pair: waiting frames, its body once prepared, blocks being tracked, and tracked frames."""
+    """Stereo pair: waiting frames, body, blocks being tracked, and tracked frames."""
 
     entry: Images
     waiting: list[LiveFrame] = field(default_factory=list)
@@ -166,13 +166,13 @@ class _LivePair:
     subset_frames: int = 0
 
     def collect(self, most: int | None) -> None:
-        """Add finished blocks in their order; wait until at most `most` are pending, None: do not wait."""
+        """Add finished blocks in order; wait until at most `most` are pending (None: never)."""
         while self.pending and (self.pending[0][1].done() or (most is not None and len(self.pending) > most)):
             numbers, block = self.pending.popleft()
             self.add(numbers, block.result().unwrap())
 
     def add(self, numbers: Sequence[int], block: FollowedBlock) -> None:
-        """Add tracked frames; subsets of at most `MOST_SUBSET_FRAMES` are kept."""
+        """Add tracked frames; subsets of at most `MOST_SUBSET_FRAMES` are remaining."""
         for number, (found, fit) in zip(numbers, block, strict=True):
             keep = found is not None and self.subset_frames < MOST_SUBSET_FRAMES
             self.subset_frames += keep
@@ -223,7 +223,7 @@ class LiveEvaluation:
         return tuple(self._pairs)
 
     def add(self, frame: LiveFrame) -> None:
-        """Add the next frame of a pair; wait while too many blocks are being tracked.
+        """Add the next frame of a pair; wait while many blocks are being tracked.
 
         Raises `InputError` or `ComputeError` where the first frames do not show the body; these are then discarded.
         """
@@ -292,7 +292,7 @@ class LiveEvaluation:
         return self.snapshot(pending)()
 
     def snapshot(self, pending: int | None = 0) -> Callable[[], LiveState]:
-        """Return the evaluation of the tracked frames as a function, which another thread may call."""
+        """Return the evaluation of the tracked frames as a function for another thread."""
         if pending == 0:
             self.flush()
         for pair in self._pairs.values():
@@ -492,10 +492,12 @@ def _placeholder(folder: str, name: str) -> str:
 
 
 def _in_memory(block: dict[str, Any], folder: str, number: int) -> dict[str, Any]:
-    """Return an [[images]] block whose files are in memory, with an edge for each frame number."""
-    kept = {key: value for key, value in block.items() if key not in ("displaced_left", "displaced_right", "edge_step")}
+    """Return an [[images]] block with files in memory, and an edge per frame number."""
+    remaining = {
+        key: value for key, value in block.items() if key not in ("displaced_left", "displaced_right", "edge_step")
+    }
     files = {side: _placeholder(folder, f"{number}-{side}") for side in ("left", "right") if side in block}
-    return kept | files | {"first_edge": 0}
+    return remaining | files | {"first_edge": 0}
 
 
 def _opened(entry: Images, frames: Sequence[LiveFrame]) -> tuple[Images, FileCache]:

@@ -1,4 +1,4 @@
-"""`shakercal look --live`: the loop from arriving files to lines of the terminal, and the final evaluation."""
+"""`shakercal look --live`: from arriving files to lines of the terminal, and the final evaluation."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ IDLE_S = 3.0  # without new frames, after which the recording has ended
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """Options of a live evaluation: nominal rate, aim (relative, 95 %), page, and kind of output."""
+    """Options: nominal rate, aim (relative, 95 %), page, and kind of output."""
 
     rate_hz: float
     until: float | None = None
@@ -46,7 +46,7 @@ class LiveOptions:
 
 @dataclass
 class LiveOutput:
-    """Output of states: one renewed line on a terminal, else a line each, or JSON; and the page."""
+    """Output of states: a renewed line on a terminal, else lines or JSON; the page."""
 
     options: LiveOptions
     page: WatchedPage | None
@@ -54,7 +54,7 @@ class LiveOutput:
     open_line: bool = field(default=False, init=False)
 
     def state(self, state: LiveState, counts: FrameCounts, behind: int) -> bool:
-        """Show a state, if it differs from the last one; return whether the aim is reached."""
+        """Show a state if it is new; return whether the aim is reached."""
         self._show(state, counts, behind)
         if reached := _is_reached(state, self.options.until):
             self.line(f"Aim of {_percent(100 * (self.options.until or 0))} reached: stop recording.", "reached")
@@ -103,7 +103,7 @@ class LiveOutput:
 
 
 def run_live(path: Path, options: LiveOptions) -> bool:
-    """Show the uncertainty of an arriving recording until the aim is reached, or it is complete.
+    """Show the uncertainty of an arriving recording until it is small enough or complete.
 
     Returns whether the aim is reached, True without one.
     """
@@ -119,7 +119,7 @@ def run_live(path: Path, options: LiveOptions) -> bool:
 
 
 def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
-    """Follow one series of frames; return whether the aim is reached, None if the folder was emptied."""
+    """Follow a series; return whether the aim is reached, None for an emptied folder."""
     frames, last_s, due_s, tried = FolderFrames(recording), time.monotonic(), 0.0, object()
     begun_s, job = 0.0, None
     with (

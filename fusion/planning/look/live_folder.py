@@ -94,7 +94,7 @@ class CameraFolder:
             return []
 
     def _number(self) -> None:
-        """Number the new files, by the last number of their names if that is a counter."""
+        """Number the new files, by the last number of their names if it counts."""
         names = sorted(self._unnumbered, key=natural_key)
         if self._first is None:
             if len(names) < MIN_NUMBERED:
@@ -117,7 +117,7 @@ class CameraFolder:
 
 @dataclass
 class _PairFolders:
-    """Cameras of a pair with the next number, and when a gap or an unreadable file was first seen.
+    """Cameras of a pair, the next number, and the beginning of a wait for it.
 
     `skipped`: later numbers that are not analysed. `before`: images of the last frame.
     """
@@ -178,7 +178,7 @@ class FolderFrames:
         for camera in pair.cameras:
             camera.poll()
         frames = list[LiveFrame]()
-        for number in self._kept(pair)[:most]:
+        for number in self._without_skipped(pair)[:most]:
             lost = [gap for gap in range(pair.next, number) if gap not in pair.skipped]
             if lost and not self._gave_up(pair, LATE_S):
                 break
@@ -194,7 +194,7 @@ class FolderFrames:
                 frames.append(LiveFrame(pair.name, number, images))
         return frames
 
-    def _kept(self, pair: _PairFolders) -> list[int]:
+    def _without_skipped(self, pair: _PairFolders) -> list[int]:
         """Return the numbers of complete frames; skip some if there are too many.
 
         The choice has no period, so that lines which all frames resolve are not aliased onto each other.
@@ -219,7 +219,7 @@ class FolderFrames:
         return now - pair.waiting_s > limit_s
 
     def _read(self, pair: _PairFolders, number: int) -> tuple[GreyImage, ...] | None:
-        """Return the images of a frame, () if damaged, None if they may still be written."""
+        """Return the images of a frame, () if damaged, None if perhaps still written."""
         try:
             images = tuple(_image(camera.complete[number]) for camera in pair.cameras)
         except (OSError, ValueError):

@@ -363,7 +363,7 @@ def print_look(found: Look) -> None:
 
 @dataclass(frozen=True)
 class LiveHeading:
-    """Heading of the page of a live evaluation: a short `word`, `lines` below it, and whether the aim is reached."""
+    """Heading of a live page: `word`, `lines` below it, and whether the aim is reached."""
 
     word: str
     lines: tuple[str, ...]
