@@ -36,13 +36,13 @@ STAGES = {
     "spline coefficients of the images": "photogram.measure.follow spline_of_image",
     "registration of the subsets": "photogram.subsets.find Follower.find",
     "fit of the motion to the grey values": "photogram.measure.follow fit_direct",
-    "body and reference image": "fusion.phasors.tracked_blocks _prepared",
+    "body and reference image": "fusion.phasors.tracked_blocks prepare_scene",
     "checks and prediction of each frame": "fusion.phasors.tracked_blocks track_block",
     "points, deformation, image checks": "fusion.phasors.tracked_blocks _moved",
     "channels and clocks": (
         "fusion.sensitivity.recording_evaluation prepare_set_ups; fusion.phasors.set_up with_channels"
     ),
-    "phasors with covariance": "fusion.phasors.set_up _measured",
+    "phasors with covariance": "fusion.phasors.set_up fit_motions",
     "fusion, load, sensitivity": "fusion.sensitivity.recording_evaluation evaluate_set_ups",
     "page and files": "fusion.campaign.run write_results",
 }

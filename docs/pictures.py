@@ -90,7 +90,7 @@ def make_pictures(chosen: list[str]) -> None:
         for picture in [name for name in PICTURES if not chosen or name in chosen]:
             entry, *ends = PICTURES[picture]
             _keep(browser, laboratory.page((GALLERY | FAULTY)[entry]), IMAGES / f"{picture}.png", *ends)
-        for name, draw in (("certificate", _certificate), ("viewer", _viewer), ("light", _light)):
+        for name, draw in (("certificate", _certificate), ("viewer", _viewer), ("light", _light), ("live", _live)):
             if not chosen or name in chosen:
                 draw(browser, laboratory)
     if not chosen or "plan" in chosen:
@@ -173,6 +173,18 @@ def _light(browser: Any, laboratory: Laboratory) -> None:
     page.goto(page_file.as_uri())
     page.wait_for_timeout(500)
     _write(page.screenshot(), IMAGES / "light.png")
+    page.close()
+
+
+def _live(browser: Any, laboratory: Laboratory) -> None:
+    """Write the page of `look --live` for the demo recording, whose aim is reached."""
+    laboratory.page(GALLERY["demo"])
+    page_file, recording = laboratory.place / "live.html", laboratory.place / "demo" / "Fz-0080"
+    main(["look", "--live", str(recording), "--rate", "38.345", "--until", "0.25", "--page", str(page_file), "-q"])
+    page = browser.new_page(viewport={"width": 1000, "height": 560})
+    page.goto(page_file.as_uri())
+    page.wait_for_timeout(500)
+    _write(page.screenshot(), IMAGES / "live.png")
     page.close()
 
 

@@ -11,6 +11,10 @@ from .planning.check import CheckReport as CheckReport
 from .planning.check import check as check
 from .planning.draft.init import Draft as Draft
 from .planning.draft.init import draft as draft
+from .planning.look.live import LiveEvaluation as LiveEvaluation
+from .planning.look.live import LiveFrame as LiveFrame
+from .planning.look.live import LiveState as LiveState
+from .planning.look.live import live as live
 from .planning.look.look import Look as Look
 from .planning.look.look import look as look
 from .planning.plan import Request as Request

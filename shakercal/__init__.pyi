@@ -7,6 +7,9 @@ from fusion import DecoupleSettings as DecoupleSettings
 from fusion import Draft as Draft
 from fusion import Evaluation as Evaluation
 from fusion import InputError as InputError
+from fusion import LiveEvaluation as LiveEvaluation
+from fusion import LiveFrame as LiveFrame
+from fusion import LiveState as LiveState
 from fusion import LoadResult as LoadResult
 from fusion import Look as Look
 from fusion import Manifest as Manifest
@@ -29,6 +32,7 @@ from fusion import evaluate_rotation as evaluate_rotation
 from fusion import evaluate_steps as evaluate_steps
 from fusion import evaluate_transfer as evaluate_transfer
 from fusion import find_recordings as find_recordings
+from fusion import live as live
 from fusion import load_for_command as load_for_command
 from fusion import load_manifest as load_manifest
 from fusion import look as look

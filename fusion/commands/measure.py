@@ -180,12 +180,30 @@ def _look_options(parser: Parser) -> None:
     text = "required expanded uncertainty (k = 2) of the result, in %%"
     parser.value("--aim", percent, "PERCENT", text)
     parser.value("--page", path, "FILE.html", "write a page, too, whose colour is visible from two metres")
-    parser.switch("--watch", "repeat whenever files change, until Ctrl-C; the page reloads itself")
+    how = parser.add_mutually_exclusive_group()
+    text = "repeat whenever files change, until Ctrl-C; the page reloads itself"
+    how.add_argument("--watch", action="store_true", help=text)
+    text = "evaluate the images while they arrive, by the cameras alone, until the recorder's files are complete"
+    how.add_argument("--live", action="store_true", help=text)
+    parser.value("--rate", hertz, "HZ", "frames per second of the cameras, for --live")
+    text = "relative U (95 %%) of the driven acceleration, in %%, at which --live stops"
+    parser.value("--until", percent, "PERCENT", text)
+    parser.switch("--json", "print events of --live as JSON, one a line")
+    parser.set_defaults(usage_error=parser.error)
 
 
 @command(_look_options, "recordings/Fz-0080 --aim 0.1")
 def look(options: argparse.Namespace) -> int:
     """Assess a recording within seconds: defects and achievable uncertainty."""
+    if options.live:
+        if options.rate is None:
+            options.usage_error("the following arguments are required with --live: --rate")
+        from fusion.planning.look.live_command import LiveOptions, run_live
+
+        given = (options.rate, options.until, options.page, options.json, options.quiet, options.allow_outside)
+        return EXIT_DONE if run_live(options.recording, LiveOptions(*given)) else EXIT_FAILED
+    if options.rate is not None or options.until is not None or options.json:
+        options.usage_error("--rate, --until and --json need --live")
     from fusion.planning.look.look import run_look
 
     level = run_look(

@@ -167,12 +167,15 @@ def measure_set_ups(
             fitted = fitted or [with_channels(each) for each in set_ups]
             prepared.base.pulse_widths()  # stored by the records, which provide them later
             with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
-                measured.append(_measured(fitted[len(measured)], motions(progress)))
+                measured.append(fit_motions(fitted[len(measured)], motions(progress)))
     return measured
 
 
-def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | RejectedPair]) -> MeasuredSetUp:
-    """Fit the lines to the motion of every stereo pair of a set-up."""
+def fit_motions(prepared: PreparedSetUp, followed: Sequence[StereoMotion | RejectedPair]) -> MeasuredSetUp:
+    """Fit the lines to the motion of every stereo pair of a set-up.
+
+    Without the images, motion during an exposure is not corrected.
+    """
     from fusion.phasors.shutter_refinement import refine_rolling_shutter  # here, for `check` follows no images
     from fusion.phasors.stereo_phasors import pairs_phasors
 
@@ -196,7 +199,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         prepared, motions, lines = _tied(prepared, motions, prepared.lines)
         base = prepared.base
         clock = line_clock(base)
-    refined = [refine_rolling_shutter(item, prepared.images, lines) for item in motions]
+    refined = [refine_rolling_shutter(item, prepared.images, lines) if prepared.images else item for item in motions]
     checked = [
         _as_stated(item, lines_hz, ()) if any(item.sight.pair.row_time) else reject_decalibrated(item)
         for item in refined

@@ -237,7 +237,7 @@ def tracked_pairs(
         max(1, len(images)) if on_gpu else None
     ) as threads:  # a GPU processes one block of each body at a time
         crew = threads if executor is None else executor
-        prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
+        prepared = [crew.submit(0, prepare_scene, item, settings, lines) for item in images]
 
         def motions(progress: ProgressCallback) -> tuple[StereoMotion | RejectedPair, ...]:
             begun = list[tuple[PreparedImages, TrackedBlocks | RejectedPair, dict[range, Pending]]]()
@@ -297,9 +297,10 @@ def _answer(images: PreparedImages, pending: Pending) -> Any:
         return answer.unwrap()
 
 
-def _prepared(
+def prepare_scene(
     images: PreparedImages, settings: Settings, lines: LineFrequencies | None
 ) -> BodyScene:  # a task, so of this module
+    """Return the scene of a pair's body, its subsets in enough frames for the lines."""
     from photogram.device import resolve_device
     from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
     from photogram.subsets.find import BodyNotFound

@@ -301,7 +301,7 @@ def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside
     return list(manifests.values())
 
 
-def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifest:
+def load_manifest(recording: str | Path, allow_outside: bool = False, text: dict[str, Any] | None = None) -> Manifest:
     """Return a checked recording with the rig that it names.
 
     Parameters
@@ -310,6 +310,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         recording.toml or its folder.
     allow_outside : bool
         Accept files outside the folder of rig.toml (default: False).
+    text : dict, optional
+        Content in place of that of recording.toml.
 
     Returns
     -------
@@ -328,7 +330,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     path = Path(recording)
     path = path if path.is_file() else path / RECORDING_NAME
     at_first = {path.resolve(): FileIdentity.of(path)}
-    text = read_toml(path)
+    text = read_toml(path) if text is None else text
     try:
         rig_path = _rig_path(path, text)
         root, folder = rig_path.parent.resolve(), path.parent.resolve()

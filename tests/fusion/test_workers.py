@@ -175,7 +175,7 @@ def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: stages.append(what))
     names = [asked.__name__ for asked in crew.asked if asked.__name__ != "_ready"]  # those begin the workers
-    assert names[:4] == ["_prepared", "_prepared", "track_block", "track_block"]
+    assert names[:4] == ["prepare_scene", "prepare_scene", "track_block", "track_block"]
     assert ("track base", 48, 48) in stages
     assert tables == serial_demo
 

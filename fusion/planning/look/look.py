@@ -361,13 +361,28 @@ def print_look(found: Look) -> None:
         print_text(f"  {text}")
 
 
+@dataclass(frozen=True)
+class LiveHeading:
+    """Heading of a live page: `word`, `lines` below it, and whether the aim is reached."""
+
+    word: str
+    lines: tuple[str, ...]
+    reached: bool
+
+
 def look_page(
-    found: Sequence[Look], reload_s: float | None, looked_s: float | None = None, *, busy: bool = False
+    found: Sequence[Look],
+    reload_s: float | None,
+    looked_s: float | None = None,
+    *,
+    busy: bool = False,
+    live: LiveHeading | None = None,
 ) -> str:
     """Return a page whose colour and word can be read from two metres.
 
     `reload_s`: interval of its writing and reloading, None without. The page turns grey when it is older than some of
-    these. `looked_s`: time of the look, by default now. `busy`: changed files are being examined.
+    these. `looked_s`: time of the look, by default now. `busy`: changed files are being examined. `live`: heading of a
+    live evaluation in place of the verdict.
     """
     from fusion.report.folder import render_page
 
@@ -381,7 +396,7 @@ def look_page(
         "colours": COLOURS,
         "said": VERDICT_TEXTS,
     }
-    values |= {"reload_s": reload_s, "busy": busy, "written_ms": round(1e3 * written_s)}
+    values |= {"reload_s": reload_s, "busy": busy, "live": live, "written_ms": round(1e3 * written_s)}
     values |= {"limit_ms": round(1e3 * MISSED * (reload_s or 0.0)), "looked_at": _clock(looked_s)}
     values["written_at"] = _clock(written_s)
     return render_page("look.html", values)
@@ -403,6 +418,7 @@ class WatchedPage:
         self._found: tuple[Look, ...] = ()
         self._looked_s = time.time()
         self._busy = True
+        self._live: LiveHeading | None = None
         self._ended, self._lock = Event(), Lock()
         self._thread = Thread(target=self._renew, daemon=True)
 
@@ -414,6 +430,8 @@ class WatchedPage:
     def __exit__(self, *reason: object) -> None:
         self._ended.set()
         self._thread.join()
+        if self._live is not None and reason[0] is None:  # the last state, which does not become old
+            write_atomically(self.path, look_page((), None, self._looked_s, live=self._live))
 
     def begin(self) -> None:
         """Show that changed files are being examined."""
@@ -427,9 +445,16 @@ class WatchedPage:
             self._busy, self._found, self._looked_s = False, tuple(found), time.time()
         self._write()
 
+    def show_live(self, heading: LiveHeading) -> None:
+        """Show the state of a live evaluation."""
+        with self._lock:
+            self._live, self._looked_s = heading, time.time()
+        self._write()
+
     def _write(self) -> None:
         with self._lock:
-            write_atomically(self.path, look_page(self._found, WATCHED_S, self._looked_s, busy=self._busy))
+            page = look_page(self._found, WATCHED_S, self._looked_s, busy=self._busy, live=self._live)
+            write_atomically(self.path, page)
 
     def _renew(self) -> None:
         while not self._ended.wait(WATCHED_S):

@@ -261,3 +261,10 @@ INDISTINCT_SENSITIVITY = DeclaredNotice(
     remedy="Increase the excitation or the duration of the record.",
     link="look.md#how-instruments-are-compared",
 )
+LIVE_NOT_POSSIBLE = DeclaredNotice(
+    "SC-976",
+    "error",
+    "For `look --live` expected {expected}, found {found}.",
+    remedy="Record, and evaluate the complete recording by `shakercal run`.",
+    link="live.md#requirements",
+)
