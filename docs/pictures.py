@@ -138,7 +138,7 @@ def _write(png: bytes, picture: Path) -> None:
 
 
 def _certificate(browser: Any, laboratory: Laboratory) -> None:
-    """Write the first sheet of the certificate of the demo recording, a specimen."""
+    """Write the first sheet, and results with budget, of the certificate of the demo recording, a specimen."""
     laboratory.page(GALLERY["demo"])
     form, *_ = NEW_FORM.partition("[laboratory.cmc]")
     form += "[customer]" + NEW_FORM.partition("[customer]")[2]
@@ -157,6 +157,12 @@ def _certificate(browser: Any, laboratory: Laboratory) -> None:
     page.goto((laboratory.place / "out" / "certificate" / "certificate.html").as_uri())
     page.wait_for_timeout(500)
     _write(page.screenshot(), IMAGES / "certificate.png")
+    begin, end = (
+        page.locator("main section", has=page.get_by_role("heading", name=name)).bounding_box()
+        for name in ("Results", "Uncertainty budgets")
+    )
+    clip = {"x": 0, "y": begin["y"] - 8, "width": A4_PX[0], "height": end["y"] + end["height"] - begin["y"] + 16}
+    _write(page.screenshot(full_page=True, clip=clip), IMAGES / "certificate_results.png")
     page.close()
 
 

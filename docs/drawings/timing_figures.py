@@ -69,7 +69,9 @@ def clock_tie() -> Figure:
     origin = 0.0135
     axes.plot(second[:count], 1e6 * (apart - origin), ".", color=GREY, ms=4, label="difference of the sampled edges")
     axes.plot(grid, 1e6 * (line - origin), color=BLUE, label="fitted line")
-    axes.fill_between(grid, 1e6 * (line - 2 * u - origin), 1e6 * (line + 2 * u - origin), color=BLUE, alpha=0.25, lw=0, label="± 2 u")
+    axes.fill_between(
+        grid, 1e6 * (line - 2 * u - origin), 1e6 * (line + 2 * u - origin), color=BLUE, alpha=0.25, lw=0, label="± 2 u"
+    )
     axes.plot(grid, 1e6 * drift * grid, color=ORANGE, lw=1.2, ls="--", label="truth")
     axes.set(xlabel="time of the second clock / s", ylabel="first − second clock\n− 13.5 ms / µs")
     axes.set_ylim(top=250.0)

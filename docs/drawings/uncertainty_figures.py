@@ -196,9 +196,11 @@ def complex_region() -> Figure:
         axes.plot(*np.append(outline, outline[0]).view(float).reshape(-1, 2).T, color=ORANGE, lw=1.3)
         axes.plot([0.0, value.real], [0.0, value.imag], color=GREY, lw=0.9)
         axes.plot(value.real, value.imag, "o", color=BLUE, ms=4)
-        axes.set(xlabel="real part", xlim=(0.55, 1.25), ylim=(0.02, 0.7), aspect="equal", title=title)
+        axes.set(xlabel="real part", xlim=(0.55, 1.25), ylim=(-0.09, 0.63), aspect="equal", title=title)
     both[0].set_ylabel("imaginary part")
-    both[0].text(0.57, 0.06, "orange: |X| ± U and arg X ± U,\nno joint 95 % region\nblue: 95 % region of X", fontsize=7.6)
+    both[0].text(
+        0.57, -0.07, "orange: |X| ± U and arg X ± U,\nno joint 95 % region\nblue: 95 % region of X", fontsize=7.6
+    )
     return figure
 
 
@@ -297,14 +299,16 @@ def violated_assumptions() -> Figure:
     axes.axvline(1.0, color="#222222", lw=0.9, ls="--")
     axes.set_xscale("log")
     axes.set(
-        xlim=(0.01, 800.0), ylim=(-0.6, len(rows) - 0.4), xlabel="median shift of the most affected result / larger half-axis of its 95 % region"
+        xlim=(0.01, 800.0),
+        ylim=(-0.6, len(rows) - 0.4),
+        xlabel="median shift of the most affected result / larger half-axis of its 95 % region",
     )
     axes.set_xticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
     axes.tick_params(axis="y", labelsize=6.8)
     texts = {
         "noticed": "a notice names the cause",
         "covered": "U covers it",
-        "harmless": "below 0.1 U",
+        "harmless": "U covers it; shift below 0.1",
         "listed": "listed as not assessed",
     }
     handles = [Rectangle((0, 0), 1, 1, color=colour) for colour in colours.values()]
