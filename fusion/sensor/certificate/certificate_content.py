@@ -110,7 +110,7 @@ class UnderlyingCertificate:
 
 @dataclass(frozen=True)
 class CertifiedMass:
-    """A mass in kg above the elastic element with U (k = 2), and the certificate that states it."""
+    """A mass in kg above the elastic element with U (k = 2) and its certificate."""
 
     name: str
     mass_kg: float
