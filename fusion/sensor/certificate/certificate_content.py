@@ -110,7 +110,7 @@ class UnderlyingCertificate:
 
 @dataclass(frozen=True)
 class CertifiedMass:
-    """A mass in kg above the elastic element with U (k = 2) and its certificate."""
+    """A mass above the elastic element, in kg, with U (k = 2) and certificate."""
 
     name: str
     mass_kg: float
