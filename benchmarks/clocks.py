@@ -275,11 +275,12 @@ def bound() -> float:
 
 
 HEAD = (
-    "| edges move by / samples | by | exposures: rms, u / µs | rate: rms, u / 10⁻⁶ | output: median, rms, u / µs "
-    "| least possible rms of the output / µs | within 2 u: exposures, rate, output |"
+    "| edges move by / samples | by | exposures: rms / µs | u / µs | rate: rms / 10⁻⁶ | u / 10⁻⁶ "
+    "| output: median / µs | rms / µs | u / µs | least rms / µs "
+    "| exposures within 2 u / % | rate within 2 u / % | output within 2 u / % |"
 )
 LEAST = (
-    "| edges move by, in samples | exposures by edges and rate | with phases | output | noise / 3 | noise / 10 "
+    "| edges move by / samples | exposures by edges and rate | with phases | output | noise / 3 | noise / 10 "
     "| eight recordings of one period |"
 )
 WAYS = (
@@ -298,11 +299,9 @@ def cells(case: str, by: str, draws: list[Found], least: str) -> str:
     error, u = np.array([one.errors for one in draws]).transpose(2, 1, 0)
     size, stated = (np.sqrt(np.mean(values**2, axis=1)) for values in (error, u))
     median, inside = np.median(np.abs(error), axis=1), 100.0 * np.mean(np.abs(error) <= 2.0 * u, axis=1)
-    exposures, output = (f"{1e6 * size[k]:.3f}, {1e6 * stated[k]:.3f}" for k in (0, 5))
-    within = ", ".join(f"{inside[k]:.0f}" for k in (0, 1, 5)) + " %"
-    rate = f"{1e6 * size[1]:.3f}, {1e6 * stated[1]:.3f}"
-    columns = case, by, exposures, rate, f"{1e6 * median[5]:.3f}, {output}", least, within
-    return "| " + " | ".join(columns) + " |"
+    both_ends = [1e6 * values[k] for k in (0, 1) for values in (size, stated)]
+    sizes = [f"{value:.3g}" for value in (*both_ends, 1e6 * median[5], 1e6 * size[5], 1e6 * stated[5])]
+    return "| " + " | ".join([case, by, *sizes, least, *(f"{inside[k]:.0f}" for k in (0, 1, 5))]) + " |"
 
 
 def rows(name: str, draws: int, tell: Callable[[str], None]) -> tuple[list[str], list[str]]:
@@ -313,7 +312,7 @@ def rows(name: str, draws: int, tell: Callable[[str], None]) -> tuple[list[str],
     least, told = "–", list[str]()
     if CASES[name].rises == (step, step):
         found = np.array([[least_u(one, beside, *way[:3])[way[3]] for way in WAYS] for one in all_drawn])
-        least = f"{1e6 * np.sqrt(np.mean(found[:, 2] ** 2)):.3f}"
+        least = f"{1e6 * np.sqrt(np.mean(found[:, 2] ** 2)):.3g}"
         told = ["| " + " | ".join([name, *(f"{1e6 * u:.3f}" for u in np.median(found, axis=0))]) + " |"]
     both_ways = zip(("edges", "motion"), ("–", least), zip(*pairs, strict=True), strict=True)
     lines = [cells(name, by, list(one), bound_u) for by, bound_u, one in both_ways]

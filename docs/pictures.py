@@ -138,7 +138,7 @@ def _write(png: bytes, picture: Path) -> None:
 
 
 def _certificate(browser: Any, laboratory: Laboratory) -> None:
-    """Write the first sheet of the certificate of the demo recording, a specimen."""
+    """Write the first sheet, and results with budget, of the certificate of the demo recording, a specimen."""
     laboratory.page(GALLERY["demo"])
     form, *_ = NEW_FORM.partition("[laboratory.cmc]")
     form += "[customer]" + NEW_FORM.partition("[customer]")[2]
@@ -156,7 +156,13 @@ def _certificate(browser: Any, laboratory: Laboratory) -> None:
     page = browser.new_page(viewport=dict(zip(("width", "height"), A4_PX, strict=True)))
     page.goto((laboratory.place / "out" / "certificate" / "certificate.html").as_uri())
     page.wait_for_timeout(500)
-    _write(page.screenshot(), IMAGES / "certificate.png")
+    calibration, begin, end = (
+        page.locator("main section", has=page.get_by_role("heading", name=name, exact=True)).bounding_box()
+        for name in ("Calibration", "Results", "Uncertainty budgets")
+    )
+    for name, top, low in (("certificate", 0.0, calibration), ("certificate_results", begin["y"] - 8.0, end)):
+        clip = {"x": 0, "y": top, "width": A4_PX[0], "height": low["y"] + low["height"] - top + 8.0}
+        _write(page.screenshot(full_page=True, clip=clip), IMAGES / f"{name}.png")
     page.close()
 
 

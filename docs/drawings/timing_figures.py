@@ -69,13 +69,15 @@ def clock_tie() -> Figure:
     origin = 0.0135
     axes.plot(second[:count], 1e6 * (apart - origin), ".", color=GREY, ms=4, label="difference of the sampled edges")
     axes.plot(grid, 1e6 * (line - origin), color=BLUE, label="fitted line")
-    axes.fill_between(grid, 1e6 * (line - 2 * u - origin), 1e6 * (line + 2 * u - origin), color=BLUE, alpha=0.25, lw=0)
+    axes.fill_between(
+        grid, 1e6 * (line - 2 * u - origin), 1e6 * (line + 2 * u - origin), color=BLUE, alpha=0.25, lw=0, label="± 2 u"
+    )
     axes.plot(grid, 1e6 * drift * grid, color=ORANGE, lw=1.2, ls="--", label="truth")
     axes.set(xlabel="time of the second clock / s", ylabel="first − second clock\n− 13.5 ms / µs")
-    axes.legend(fontsize=8, loc="lower right")
-    axes.set_title(
-        f"Tie of two clocks: rate {1e6 * (tie.rate - 1.0):.1f} ± {2e6 * tie.covariance[1, 1] ** 0.5:.1f} µs/s (true 20)"
-    )
+    axes.set_ylim(top=250.0)
+    axes.legend(fontsize=8, loc="upper left", ncols=2)
+    rate, expanded = 1e6 * (tie.rate - 1.0), 2e6 * tie.covariance[1, 1] ** 0.5
+    axes.set_title(f"Tie of two clocks: rate ({rate:.1f} ± {expanded:.1f}) µs/s with k = 2 (true 20)")
     return figure
 
 
@@ -192,7 +194,7 @@ def locked_errors() -> Figure:
     figure, axes = new_figure(2.9)
     for shift, way, colour in ((-0.2, "edges", GREY), (0.2, "motion", BLUE)):
         chosen = [row for row in rows if row[1] == way]
-        rms, u = np.array([[float(value) for value in row[4].split(", ")] for row in chosen])[:, 1:].T
+        rms, u = np.array([[float(value) for value in row[7:9]] for row in chosen]).T
         place = np.arange(len(names)) + shift
         axes.bar(place, rms, 0.38, color=colour, label="edges alone" if way == "edges" else "edges and motion")
         axes.plot(place, u, "_", color=ORANGE, ms=13, mew=2, label="u" if way == "motion" else None)

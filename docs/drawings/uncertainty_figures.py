@@ -57,12 +57,12 @@ def measurement_model() -> Figure:
     _box(axes, 2.35, 2.35, (1.45, 1.1), "sine\napproximation\nat the exact\ninstants", BLUE)
     _box(axes, 4.25, 3.35, (1.75, 1.1), "readings\n$y = X\\,A + C\\,ε + e$\nleast squares → $A$", BLUE)
     _box(axes, 6.4, 3.35, (1.5, 1.1), "load\n$L = M\\,A$\n+ tilted weight", BLUE)
-    _box(axes, 8.3, 2.35, (1.6, 1.1), "sensitivity\n$S = U / L$,\nelement $S_{cd}$", GREEN)
+    _box(axes, 8.3, 2.35, (1.6, 1.1), "sensitivity\n$S = V / L$,\nelement $S_{cd}$", GREEN)
     _arrow(axes, (3.8, 3.2), (4.25, 3.7), BLUE)
     _arrow(axes, (6.0, 3.9), (6.4, 3.9), BLUE)
     _arrow(axes, (7.9, 3.7), (8.45, 3.45), BLUE)
     _arrow(axes, (3.8, 2.6), (8.3, 2.6), BLUE)
-    axes.text(6.05, 2.68, "phasors $U$ of the outputs", ha="center", fontsize=7.6, color=BLUE)
+    axes.text(6.05, 2.68, "phasors $V$ of the outputs", ha="center", fontsize=7.6, color=BLUE)
     for x, width, text, target in (
         (2.3, 1.55, "noise, jitter,\nclock ties,\nfrequencies", (3.0, 2.35)),
         (4.1, 2.0, "scales, delays, responses,\npoints, directions, heads,\npose, calibration", (5.1, 3.35)),
@@ -129,7 +129,7 @@ def inclined_drive() -> Figure:
     angle = np.linspace(0.0, 88.0, 400)
     q = np.cos(np.radians(angle))
     for limit, colour in ((0.02, GREEN), (0.05, BLUE), (0.1, ORANGE)):
-        error = limit * np.minimum(np.sqrt(1.0 - q**2), q) / q**2
+        error = limit * np.sqrt(1.0 - q**2) / q
         axes.plot(
             angle[error < 1.0], 100.0 * error[error < 1.0], color=colour, label=f"other motion below {100 * limit:g} %"
         )
@@ -155,7 +155,7 @@ def coverage_factors() -> Figure:
             "k of an interval, $t_{0.975}(ν)$",
             coverage_factor(np.inf),
         ),
-        (ORANGE, region_factor(dof), "K of a half-axis of a region", float(region_factor(np.inf))),
+        (ORANGE, region_factor(dof), "K of a half-width of a region", float(region_factor(np.inf))),
     ):
         axes.loglog(dof, factor, color=colour, label=text)
         axes.axhline(limit, color=colour, lw=0.8, ls=":")
@@ -196,9 +196,11 @@ def complex_region() -> Figure:
         axes.plot(*np.append(outline, outline[0]).view(float).reshape(-1, 2).T, color=ORANGE, lw=1.3)
         axes.plot([0.0, value.real], [0.0, value.imag], color=GREY, lw=0.9)
         axes.plot(value.real, value.imag, "o", color=BLUE, ms=4)
-        axes.set(xlabel="real part", xlim=(0.55, 1.25), ylim=(0.02, 0.7), aspect="equal", title=title)
+        axes.set(xlabel="real part", xlim=(0.55, 1.25), ylim=(-0.09, 0.63), aspect="equal", title=title)
     both[0].set_ylabel("imaginary part")
-    both[0].text(0.57, 0.06, "orange: |X| ± U and arg X ± U\nblue: 95 % region of X", fontsize=7.6)
+    both[0].text(
+        0.57, -0.07, "orange: |X| ± U and arg X ± U,\nno joint 95 % region\nblue: 95 % region of X", fontsize=7.6
+    )
     return figure
 
 
@@ -297,14 +299,16 @@ def violated_assumptions() -> Figure:
     axes.axvline(1.0, color="#222222", lw=0.9, ls="--")
     axes.set_xscale("log")
     axes.set(
-        xlim=(0.01, 800.0), ylim=(-0.6, len(rows) - 0.4), xlabel="median shift of the most affected result / its U"
+        xlim=(0.01, 800.0),
+        ylim=(-0.6, len(rows) - 0.4),
+        xlabel="median shift of the most affected result / larger half-axis of its 95 % region",
     )
     axes.set_xticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
     axes.tick_params(axis="y", labelsize=6.8)
     texts = {
         "noticed": "a notice names the cause",
         "covered": "U covers it",
-        "harmless": "below 0.1 U",
+        "harmless": "U covers it; shift below 0.1",
         "listed": "listed as not assessed",
     }
     handles = [Rectangle((0, 0), 1, 1, color=colour) for colour in colours.values()]

@@ -150,7 +150,7 @@ def region_matrix(
     The region of a value X is the ellipse (z - X)ᵀ·M⁻¹·(z - X) ≤ 1. `covariance` (..., 2, 2) of (Re, Im), of first
     order. `dof` (2, ...): along X and across it, each with its factor (`region_factor`). `mixed` (...): the covariance
     of these two parts as `counted_covariance` reduces it, by default all of it. An uncertain angle of X, with the
-    standard uncertainty `u_turn` (...), bends the region (JCGM 100, 5.1.2, note). It then reaches further along X, but
+    standard uncertainty `u_turn` (...), bends the region (`BENT`). It then reaches further along X, but
     no further than across.
     """
     frame, turn = along_and_across(value), np.asarray(u_turn, dtype=np.float64) ** 2

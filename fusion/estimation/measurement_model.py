@@ -231,12 +231,12 @@ class UnobservedMotion:
     def gain(self, share: FloatArray) -> FloatArray:
         """Return the ratio (K,) by which the driven amplitude may exceed its observed part.
 
-        Infinite without limit. The readings show P·(s·d + t) of the drive d with amplitude s and other motion t, |t| <
-        λ|s|; `share` q² = |P·d|². d·P·(s·d + t)/q² is an estimate of s, which t changes by at most λ|s|·min(√(1 - q²),
-        q)/q².
+        Infinite without limit. The readings show P·(s·d + t) of the drive d with amplitude s and other motion t across
+        it, |t| < λ|s|; `share` q² = |P·d|². d·P·(s·d + t)/q² is an estimate of s. P·d has the part q·√(1 - q²) across
+        d, so t changes the estimate by at most λ|s|·√(1 - q²)/q: λ·tan θ for one reading at the angle θ to the drive.
         """
         q2 = np.maximum(share, np.finfo(np.float64).tiny)
-        moved = max(self.transverse, self.rocking) * np.minimum(np.sqrt(np.maximum(1.0 - q2, 0.0)), np.sqrt(q2)) / q2
+        moved = max(self.transverse, self.rocking) * np.sqrt(np.maximum(1.0 - q2, 0.0) / q2)
         moved = np.where(share >= FULL, 0.0, np.minimum(moved, 1.0))
         return np.asarray(np.divide(1.0, 1.0 - moved, out=np.full(moved.shape, np.inf), where=moved < 1.0))
 

@@ -17,7 +17,9 @@ from certificates import FORM, NAMES, SCHEMA, acknowledged, broken_rules, texts
 from lxml import etree
 from support import DOCS, RefusedCommand, edit, examples, rows, without_pages
 
+from fusion.campaign.curve import CurvePoint
 from fusion.cli import main
+from fusion.estimation.coverage import polar
 from fusion.phasors.phasor_notices import CAMERA_DELAYED, HIGH_HARMONICS_NOT_ASSESSED, MOTION_BLUR
 from fusion.recording.dsi import dsi_unit
 from fusion.recording.load import load_manifest
@@ -26,8 +28,8 @@ from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor import result_notices as raised
 from fusion.sensor.certificate.certificate_content import Certificate
-from fusion.sensor.certificate.certificate_evaluation import _not_assessed, evaluate_certificate
-from fusion.sensor.certificate.certificate_form import METHOD, NEW_FORM
+from fusion.sensor.certificate.certificate_evaluation import _loads, _not_assessed, _stated, evaluate_certificate
+from fusion.sensor.certificate.certificate_form import METHOD, NEW_FORM, read_form
 from fusion.sensor.certificate.certificate_page import certificate_page
 from fusion.sensor.certificate.certificate_xml import certificate_xml
 from fusion.sensor.compare.comparison_inputs import read_result
@@ -204,7 +206,31 @@ def test_smallest_uncertainty_and_k_of_the_form_apply(campaign: Path) -> None:
     edit(campaign / "certificate.toml", "[customer]", "[laboratory.cmc]\nmagnitude = 0.01\nphase = 0.5\n[customer]")
     (floored,) = next(element for element in evaluate_certificate(campaign).elements if element.main).values
     assert floored.expanded_magnitude == pytest.approx(0.01 * value.element.magnitude)
-    assert (floored.k, floored.expanded_phase_rad) == (2.0, 0.5)
+    assert floored.k == max(2.0, value.element.k)
+    assert (floored.k_phase, floored.expanded_phase_rad) == (max(2.0, value.element.k_phase), 0.5)
+
+
+def test_k_of_two_is_a_smallest_one(campaign: Path) -> None:
+    # JCGM 100, table G.2: t of 95 % for one degree of freedom is 12.71; 2 would cover 70 %.
+    edit(campaign / "certificate.toml", "format = 1", "format = 1\nk = 2")
+    form = read_form(campaign / "certificate.toml")
+    element = polar(1.0 + 0.0j, np.diag([1e-6, 1e-6]), 1.0, (1.0, np.inf))
+    point = CurvePoint(80.0, "Fz", "Fz", "V/V", element, None, 1, 1, "element")
+    stated = _stated(point, (1.0, 1.0), form)
+    assert (stated.k, stated.k_phase) == (pytest.approx(12.706, abs=1e-3), 2.0)
+    assert stated.expanded_magnitude == pytest.approx(12.706e-3, rel=1e-4)
+
+
+def test_every_mass_has_its_u_and_certificate(campaign: Path) -> None:
+    old = "internal_mass = 0.214\ninternal_mass_uncertainty = 0.0005\n"
+    new = 'internal_mass = { value = 0.214, U = 0.0012, k = 2, certificate = "M-7", laboratory = "Lab" }\n'
+    edit(campaign / "rig.toml", old, new)
+    (load,) = _loads([load_manifest(campaign / "Fz-0080")])
+    assert [(one.name, one.mass_kg, one.expanded_kg, one.certificate) for one in load.masses] == [
+        ("Load", 2.4063, pytest.approx(4e-4), ""),
+        ("Further parts", 0.1835, pytest.approx(2e-4), ""),
+        ("Internal mass of the item", 0.214, pytest.approx(1.2e-3), "M-7"),
+    ]
 
 
 def test_effects_that_u_does_not_include_are_stated_once() -> None:

@@ -15,6 +15,7 @@ from support import evaluated, region_distance
 from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.least_squares import Unbounded
+from fusion.estimation.measurement_model import UnobservedMotion
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.placement import perpendicular_axes
@@ -184,3 +185,12 @@ def test_what_an_oblique_drive_moves_unobserved_is_told(tmp_path):
     text = next(n.values["driven"] for n in evaluated(run).notices if n.code in codes)
     size = float(text.partition("x up to ")[2].split()[0])
     assert size == pytest.approx(50.0, rel=0.4)
+
+
+@pytest.mark.parametrize("degrees", [5.0, 20.0, 45.0, 70.0])
+def test_the_bound_is_the_worst_of_all_transverse_motions(degrees):
+    beam, turns = tilted(degrees), np.linspace(0.0, 2.0 * np.pi, 721)
+    transverse = LIMIT * (np.cos(turns)[:, None] * X + np.sin(turns)[:, None] * Y)
+    found = (Z + transverse) @ beam / (Z @ beam)  # the drive, of amplitude 1, as one reading shows it
+    bound = UnobservedMotion(LIMIT, LIMIT, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)).gain(np.array([(Z @ beam) ** 2]))
+    assert 1.0 / bound[0] == pytest.approx(found.min(), rel=1e-9)

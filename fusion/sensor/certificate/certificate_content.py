@@ -109,14 +109,21 @@ class UnderlyingCertificate:
 
 
 @dataclass(frozen=True)
-class CertifiedLoad:
-    """Masses in kg above the sensor in some recordings: load with U, parts, internal mass."""
+class CertifiedMass:
+    """A mass above the elastic element, in kg, with U (k = 2) and certificate."""
 
-    recordings: tuple[str, ...]
+    name: str
     mass_kg: float
     expanded_kg: float
-    parts_kg: float
-    internal_kg: float
+    certificate: str
+
+
+@dataclass(frozen=True)
+class CertifiedLoad:
+    """Masses above the elastic element in some recordings: load, further parts, internal mass."""
+
+    recordings: tuple[str, ...]
+    masses: tuple[CertifiedMass, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +189,9 @@ class Certificate(CertificateContent):
         yield "Scope", SCOPE
         yield (
             "Uncertainty",
-            UNCERTAINTY + ("that of the effective degrees of freedom." if self.form.k == "effective" else "2."),
+            UNCERTAINTY
+            + ("" if self.form.k == "effective" else "2, or if that is larger ")
+            + "that of the effective degrees of freedom.",
         )
         if self.elements and (capability.magnitude or capability.phase):
             sizes = f"{100 * capability.magnitude:g} % of the magnitude and {capability.phase:g} rad of the phase"

@@ -36,6 +36,7 @@ from fusion.sensor.certificate.certificate_content import (
     CertifiedBudget,
     CertifiedElement,
     CertifiedLoad,
+    CertifiedMass,
     CertifiedValue,
     UnderlyingCertificate,
     Verdict,
@@ -186,7 +187,7 @@ def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
     return CertificateContent(
         title=CERTIFIED_COMMANDS[command].title,
         sensor=facts,
-        numbers=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
+        numbers=read_certified_numbers(folder, command, least_k=form.least_k),
         **{**found, "not_assessed": (*scopes, *found["not_assessed"])},
         versions=origin.versions,
     )
@@ -248,7 +249,7 @@ def _elements(evaluation: CampaignEvaluation, sensor: SensorFacts, form: Form) -
 def _stated(point: CurvePoint, amplitude: tuple[float, float], form: Form) -> CertifiedValue:
     """Return a value with U = k·u, at capability the stated capability."""
     element, capability = point.element, form.laboratory.cmc
-    k, k_phase = (element.k, element.k_phase) if form.k == "effective" else (2.0, 2.0)
+    k, k_phase = max(element.k, form.least_k), max(element.k_phase, form.least_k)
     return CertifiedValue(
         frequency_hz=point.frequency_hz,
         element=element,
@@ -296,7 +297,7 @@ def _deviation(points: Sequence[CurvePoint], form: Form) -> tuple[tuple[float, f
     if any(point.relative is None for point in points):
         return ()
     found, least = [point.relative for point in points if point.relative is not None], form.laboratory.cmc.magnitude
-    k = [relative.k if form.k == "effective" else 2.0 for relative in found]
+    k = [max(relative.k, form.least_k) for relative in found]
     return tuple(
         (relative.magnitude - 1.0, max(factor * relative.u_magnitude, least * relative.magnitude), factor)
         for factor, relative in zip(k, found, strict=True)
@@ -385,14 +386,35 @@ def _conditions(form: Form, manifests: Sequence[Manifest]) -> Iterator[tuple[str
 
 def _loads(manifests: Sequence[Manifest]) -> tuple[CertifiedLoad, ...]:
     """Return the different masses above the sensor with their recordings."""
-    found: dict[tuple[float, float, float, float], list[str]] = {}
+    found: dict[tuple[CertifiedMass, ...], list[str]] = {}
     for manifest in manifests:
         load, sensor = manifest.rig.load, manifest.rig.sensor
         if load is not None and sensor is not None:
-            parts = sum(part.true_mass for part in manifest.part if part.body == "load")
-            masses = load.true_mass, 2.0 * load.mass_uncertainty, parts, sensor.internal_mass
-            found.setdefault(masses, []).append(manifest.folder.name)
-    return tuple(CertifiedLoad(tuple(names), *masses) for masses, names in found.items())
+            stated = {
+                item.key.removesuffix("_uncertainty"): item.stated.certificate
+                for item in manifest.inputs
+                if item.stated is not None
+            }
+            parts = [part for part in manifest.part if part.body == "load"]
+            named = dict.fromkeys(stated.get(f"part.{part.name}.mass", "") for part in parts)
+            u_parts = float(np.linalg.norm([part.mass_uncertainty for part in parts]))
+            masses = (
+                CertifiedMass("Load", load.true_mass, 2.0 * load.mass_uncertainty, stated.get("load.mass", "")),
+                CertifiedMass(
+                    "Further parts",
+                    sum(part.true_mass for part in parts),
+                    2.0 * u_parts,
+                    ", ".join(filter(None, named)),
+                ),
+                CertifiedMass(
+                    "Internal mass of the item",
+                    sensor.internal_mass,
+                    2.0 * sensor.internal_mass_uncertainty,
+                    stated.get("sensor.internal_mass", ""),
+                ),
+            )
+            found.setdefault(tuple(one for one in masses if one.mass_kg), []).append(manifest.folder.name)
+    return tuple(CertifiedLoad(tuple(names), masses) for masses, names in found.items())
 
 
 def _sources(inputs: Sequence[UncertainInput]) -> tuple[UnderlyingCertificate, ...]:

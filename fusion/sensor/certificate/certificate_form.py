@@ -27,7 +27,7 @@ from fusion.sensor import result_notices as declared
 FORM_FILE = "certificate.toml"
 NEW_FORM = '''\
 format = 1
-k = "effective"                         # or 2: U = 2 u whatever the degrees of freedom
+k = "effective"                         # or 2: the smallest k; few degrees of freedom have a larger one
 
 [administration]
 number = ""                             # of this certificate, unique
@@ -282,6 +282,11 @@ class Form(ManifestBlock):
     equipment: Annotated[tuple[CertifiedEquipment, ...], BeforeValidator(array_of_tables)] = ()
     acknowledged: Annotated[tuple[Acknowledgement, ...], BeforeValidator(array_of_tables)] = ()
     conformity: Conformity | None = None
+
+    @property
+    def least_k(self) -> float:
+        """Return the smallest coverage factor; that of the effective degrees of freedom may be larger."""
+        return 0.0 if self.k == "effective" else self.k
 
     def missing(self) -> Iterator[str]:
         """Yield the required keys that are empty (ISO/IEC 17025:2017, 7.8.2 and 7.8.4)."""

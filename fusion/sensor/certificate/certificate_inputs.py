@@ -113,8 +113,8 @@ def find_command(folder: Path) -> str | None:
     return next((command for command, source in CERTIFIED_COMMANDS.items() if (folder / source.file).is_file()), None)
 
 
-def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tuple[NumberList, ...]:
-    """Return the numbers of a command's table by list; `k` replaces the table's."""
+def read_certified_numbers(folder: Path, command: str, *, least_k: float) -> tuple[NumberList, ...]:
+    """Return the numbers of a command's table by list, with the table's k or `least_k`."""
     file = folder / CERTIFIED_COMMANDS[command].table
     _, rows = read_rows(file, LARGEST_TABLE, f"the table of shakercal {command}")
     lists: dict[str, list[CertifiedNumber]] = {}
@@ -124,7 +124,7 @@ def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tu
             if not name:
                 continue
             value, u, table_k = (float(row[column]) for column in ("value", "u", "k"))
-            factor, unit = table_k if k is None else k, row["unit"]
+            factor, unit = max(table_k, least_k), row["unit"]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 declared.DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)

@@ -30,6 +30,7 @@ from fusion.sensor.certificate.certificate_content import (
     CertifiedBudget,
     CertifiedElement,
     CertifiedLoad,
+    CertifiedMass,
     CertifiedValue,
     UnderlyingCertificate,
     input_words,
@@ -140,13 +141,14 @@ def _dates(one: CertifiedEquipment | UnderlyingCertificate) -> str:
 
 def _loads_table(loads: Sequence[CertifiedLoad]) -> Table | None:
     """Return the masses above the sensor."""
-    columns: list[TableColumn[CertifiedLoad]] = [
-        page_column("load mass ± U (k = 2) / kg", lambda one: scaled_text(one.mass_kg, one.expanded_kg, 0)),
-        page_column("further parts / kg", lambda one: number_text(one.parts_kg, 6) if one.parts_kg else DASH),
-        page_column("internal mass of the item / kg", lambda one: number_text(one.internal_kg, 6)),
-        page_column("recordings", lambda one: _recordings(one.recordings), "l"),
+    columns: list[TableColumn[tuple[CertifiedMass, CertifiedLoad]]] = [
+        page_column("mass", lambda row: row[0].name, "l"),
+        page_column("value ± U (k = 2) / kg", lambda row: scaled_text(row[0].mass_kg, row[0].expanded_kg, 0)),
+        page_column("certificate", lambda row: row[0].certificate or DASH, "l"),
+        page_column("recordings", lambda row: _recordings(row[1].recordings), "l"),
     ]
-    return table("Masses above the elastic element of the item", columns, loads)
+    rows = [(mass, load) for load in loads for mass in load.masses]
+    return table("Masses above the elastic element of the item", columns, rows)
 
 
 def _recordings(names: Sequence[str]) -> str:

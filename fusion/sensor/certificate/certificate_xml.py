@@ -225,9 +225,9 @@ def _conditions(found: Certificate) -> Iterator[etree._Element]:
         ]
         yield D.influenceCondition({"refType": kind} if kind else {}, _text("name", name), D.data(*ends))
     for load in found.loads:
-        masses = ("Load mass", load.mass_kg), ("Further parts", load.parts_kg), ("Internal mass", load.internal_kg)
         numbers = [
-            D.quantity(_text("name", name), S.real(S.value(repr(mass)), S.unit(r"\kilogram"))) for name, mass in masses
+            D.quantity(_text("name", one.name), _real(one.mass_kg, r"\kilogram", one.expanded_kg, 2.0))
+            for one in load.masses
         ]
         yield D.influenceCondition(_text("name", f"Masses, {', '.join(load.recordings)}"), D.data(*numbers))
     mounting = found.form.mounting
@@ -318,12 +318,16 @@ def _listed(found: Certificate, number_list: NumberList) -> etree._Element:
     quantities = []
     for number in number_list.numbers:
         unit = _dsi_unit(found, number.unit).replace(r"\kilo\gram", r"\kilogram")
-        expanded, factor = S.valueExpandedMU(repr(number.expanded)), S.coverageFactor(repr(number.k))
-        stated = S.expandedMU(expanded, factor, S.coverageProbability(repr(COVERAGE)))
-        real = S.real(S.value(repr(number.value)), S.unit(unit), S.measurementUncertaintyUnivariate(stated))
+        real = _real(number.value, unit, number.expanded, number.k)
         kind = {"refType": f"basic_measuredValue {PREFIX}{number.kind}"}
         quantities.append(D.quantity(kind, _text("name", number.name), real))
     return D.result(_text("name", number_list.name), D.data(D.list(*quantities)))
+
+
+def _real(value: float, unit: str, expanded: float, k: float) -> etree._Element:
+    """Return a number with U and k."""
+    about = S.valueExpandedMU(repr(expanded)), S.coverageFactor(repr(k)), S.coverageProbability(repr(COVERAGE))
+    return S.real(S.value(repr(value)), S.unit(unit), S.measurementUncertaintyUnivariate(S.expandedMU(*about)))
 
 
 def _dsi_unit(found: Certificate, unit: str, powers: Powers = (), power: int = 1) -> str:
