@@ -79,7 +79,7 @@ def release_shapes() -> Figure:
     right.set(
         xlabel="frequency of a mode × T", ylabel="amplitude / amplitude after a step", xlim=(0.0, 4.0), ylim=(0.0, 1.05)
     )
-    right.set_title("Swing of a mode after the release")
+    right.set_title("Amplitude of a mode after the release")
     return figure
 
 
