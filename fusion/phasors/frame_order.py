@@ -292,7 +292,10 @@ def _moved_edges(first_edge: int | dict[str, EdgeRuns] | None, count: int) -> st
 
 
 def _describe(side: str, files: IntArray, shift: IntArray) -> str:
-    """Return in words the shifts of a camera, in frames by which its files show later edges than assumed."""
+    """Return the shifts of a camera in words.
+
+    `shift` (F,): frames by which its files show later edges than assumed.
+    """
     parts = list[str]()
     if shift[0]:
         late = "later" if shift[0] > 0 else "earlier"

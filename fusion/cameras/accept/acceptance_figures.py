@@ -103,7 +103,10 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
 
 
 def _colours(panel: Panel, places: FloatArray, side: float, values: FloatArray, label: str, reach: float = 1.0) -> None:
-    """Draw a signed field as coloured squares, symmetric about zero; the scale ends at `reach` times the values."""
+    """Draw a signed field as coloured squares, symmetric about zero.
+
+    The scale ends at `reach` times the largest values.
+    """
     largest = reach * (float(np.quantile(np.abs(values), FIELD_QUANTILE)) or 1.0)
     panel.squares(
         places, side, values=np.clip(values, -largest, largest), scale=Scale("RdBu", -largest, largest, label)
