@@ -72,7 +72,10 @@ def row(case: str, outcomes: list[Outcome]) -> str:
     verdicts = [sum(one.verdict == verdict for one in outcomes) for verdict in ("PASS", "UNDECIDED", "FAIL")]
     first = sum(one.first in right or (case == RIGHT and not one.first) for one in outcomes)
     named = sum(any(name in right for name in one.named) or (case == RIGHT and not one.named) for one in outcomes)
-    shown = " | ".join(f"{number}" for number in (count, *verdicts, first, named))
+    causes = (
+        ("none named" if named == count else f"one named in {count - named}", "–") if case == RIGHT else (first, named)
+    )
+    shown = " | ".join(f"{number}" for number in (count, *verdicts, *causes))
     return f"| {text} | {shown} |"
 
 

@@ -58,13 +58,13 @@ SCENES = {
     "strong perspective (f = 500 px)": Scene(focal_px=500.0, tilt_deg=(10.0, 20.0)),
     "contrast 5 % of full scale": Scene(grey=(0.10, 0.15)),
     "contrast 3 % of full scale": Scene(grey=(0.10, 0.13)),
-    "foil of 64 mm, repeats every 43 mm": Scene(half_m=(0.032, 0.027), period_m=0.043),
-    "foil of 80 mm, repeats every 43 mm": Scene(half_m=(0.040, 0.031), period_m=0.043),
+    "pattern of 64 mm, repeats every 43 mm": Scene(half_m=(0.032, 0.027), period_m=0.043),
+    "pattern of 80 mm, repeats every 43 mm": Scene(half_m=(0.040, 0.031), period_m=0.043),
     "the same 43 mm, turned by 3.5°": Scene(half_m=(0.040, 0.031), period_m=0.043, turn_deg=3.5),
-    "foil beyond the view, repeats every 43 mm": Scene(half_m=(0.09, 0.07), period_m=0.043),
+    "pattern beyond the view, repeats every 43 mm": Scene(half_m=(0.09, 0.07), period_m=0.043),
     "the same 43 mm beyond the view, turned by 3.5°": Scene(half_m=(0.09, 0.07), period_m=0.043, turn_deg=3.5),
-    "foil of 68 mm, repeats every 8 mm": Scene(period_m=0.008),
-    "foil beyond the view, repeats every 8 mm, turned by 3.5°": Scene(
+    "pattern of 68 mm, repeats every 8 mm": Scene(period_m=0.008),
+    "pattern beyond the view, repeats every 8 mm, turned by 3.5°": Scene(
         half_m=(0.09, 0.07), period_m=0.008, turn_deg=3.5
     ),
 }

@@ -36,7 +36,7 @@ PICTURES = {
     "load": ("loads", "#figure-load-Fy", "#figure-load-Fy"),
     "identify": ("masses", "#figure-fit-z-0", "#figure-fit-z-0"),
     "elastomer": ("elastomer", "#figure-elastomer-shapes-frame", "#figure-elastomer-shapes-frame"),
-    "cameras": ("targets", "figure", "figure"),
+    "cameras": ("targets", "#figure-coverage", "#figure-coverage"),
     "crosstalk": ("matrix", "#figure-crosstalk", "#figure-crosstalk"),
     "recordings": ("sweep", "#figure-recordings-Fz-Fz", "#figure-recordings-Fz-Fz"),
     "normalised": ("compare", "#figure-normalised", "#figure-normalised"),

@@ -120,7 +120,7 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         ),
         notices=(
             Notice(TARGET_DEVIATION, "target", x_um=1.2, y_um=0.9, z_um=60.0, digits=1),
-            Notice(LOW_COVERAGE, "right", share_percent=58.0, side="right"),
+            Notice(LOW_COVERAGE, "right", share_percent=58.0, side="right", corners=2),
         ),
     )
 

@@ -64,25 +64,27 @@ def instrument_places() -> Figure:
     _note(axes, (4.0, 16.1), "force/moment sensor", (14, 16.4), ORANGE)
     _note(axes, (7.0, 20.6), "load: known mass and inertia", (14, 20.2))
     _note(axes, (6.4, 23.8), "speckle on the load", (14, 24.0))
-    _note(axes, (5.8, 15.0), "accelerometer near the axis, cable fixed to the table", (14, 9.0), VIOLET)
+    _note(axes, (5.8, 15.0), "accelerometer on the table, cable fixed to the table", (14, 9.0), VIOLET)
     axes.add_patch(Rectangle((5.0, 14.6), 1.6, 1.3, facecolor=VIOLET))
     axes.plot([-4, -11, -20], [16.4, 18.8, 15.6], color=GREY, linewidth=1.2)
     axes.text(-20.5, 15.6, "sensor cable: loose loop,\nfixed 10 cm away", ha="right", va="center", fontsize=8)
     target = np.array([0.0, 24.1])
     for sign in (-1.0, 1.0):
-        place = np.array([sign * 9.4, 46.0])
+        place = target + 24.0 * np.array([sign * np.sin(np.radians(15.0)), np.cos(np.radians(15.0))])
         axes.plot(*zip(place, target, strict=True), color=BLUE, linewidth=0.8, linestyle="--")
         _camera(axes, place, target)
-    for x in (-3.0, 0.0, 3.0):
+    for x in (-2.4, 0.0, 2.4):
         axes.plot([x, x], [24.1, 49.0], color=RED, linewidth=1.0)
-    axes.add_patch(Rectangle((-4.4, 49.0), 8.8, 3.6, facecolor="#f8d7da", edgecolor=RED))
+    axes.add_patch(Arc((0.0, 24.1), 17.0, 17.0, theta1=75, theta2=105, color=BLUE))
+    axes.text(-2.8, 32.0, "α = 30°", ha="right", fontsize=8, color=BLUE)
+    axes.add_patch(Rectangle((-3.6, 49.0), 7.2, 3.6, facecolor="#f8d7da", edgecolor=RED))
     axes.add_patch(Rectangle((1.6, 52.6), 1.6, 1.3, facecolor=VIOLET))
-    _note(axes, (4.4, 50.8), "laser head, with an accelerometer", (22, 52.6), RED)
-    _note(axes, (11.6, 47.5), "stereo pair, 20° to 35°", (22, 47.6), BLUE)
-    _note(axes, (3.0, 36.0), "one beam near the axis, or three for the tilts", (14, 36.0), RED)
-    axes.plot([-50, -50, 10.6], [0, 55.6, 55.6], color=GREY, linewidth=3)
-    for x in (-10.6, 10.6):
-        axes.plot([x, x], [49.4, 55.6], color=GREY, linewidth=3)
+    _note(axes, (3.6, 50.8), "laser head, with an accelerometer", (22, 52.6), RED)
+    _note(axes, (8.6, 47.5), "stereo pair, 20° to 35° between the views", (22, 47.6), BLUE)
+    _note(axes, (2.4, 38.0), "one beam near the axis, or three for the tilts", (14, 38.0), RED)
+    axes.plot([-50, -50, 7.2], [0, 55.6, 55.6], color=GREY, linewidth=3)
+    for x in (-7.2, 7.2):
+        axes.plot([x, x], [50.8, 55.6], color=GREY, linewidth=3)
     axes.text(-48, 52.4, "separate stand for cameras", fontsize=8, color=GREY, va="center")
     axes.add_patch(Rectangle((-20, 22.2), 7.5, 1.6, facecolor="#111827"))
     axes.plot([-16.2, -16.2, -42, -42], [22.2, 21.6, 21.6, 0], color=GREY, linewidth=2)
@@ -110,24 +112,25 @@ def trigger_wiring() -> Figure:
     for name, (x, y, wide, high, colour) in boxes.items():
         axes.add_patch(Rectangle((x, y), wide, high, facecolor="white", edgecolor=colour, linewidth=1.6))
         axes.text(x + wide / 2, y + high / 2, name, ha="center", va="center", fontsize=8.5)
-    for y in (32.5, 22.5, 13.0):
+    for y in (32.5, 22.5):
         axes.plot([28, 28], [30.5, y], color=GREY, linewidth=1.3)
         _arrow(axes, (28, y), (36, y), GREY)
     axes.plot([22, 28], [30.5, 30.5], color=GREY, linewidth=1.3)
     axes.text(23, 18, "trigger,\nequal cables", fontsize=7.5, color=GREY, ha="center")
     axes.plot([53, 66], [32.5, 32.5], color=RED, linewidth=1.8)
-    axes.plot([66, 66], [20.5, 32.5], color=RED, linewidth=1.8)
-    for y in (30.5, 20.5):
-        _arrow(axes, (66, y), (78, y), RED)
+    axes.plot([66, 66], [13.0, 32.5], color=RED, linewidth=1.8)
+    for y, x in ((30.5, 78), (20.5, 78), (13.0, 53)):
+        _arrow(axes, (66, y), (x, y), RED)
     axes.text(54, 34.0, "exposure output", fontsize=8, color=RED)
     axes.text(67.5, 25.0, "one channel\nof each\nrecorder", fontsize=7.5, color=RED, va="center")
+    axes.text(60, 9.0, "starts the flash, delayed\nuntil both shutters are open", fontsize=7.5, color=RED, va="center")
     _arrow(axes, (22, 4), (36, 4), GREY)
     _arrow(axes, (53, 4), (78, 4), GREY)
     return figure
 
 
 def _measured(time: FloatArray, pulse: FloatArray, corner: float, ringing: float = 0.0) -> FloatArray:
-    """Return a pulse behind a low pass of first order, with ringing at its flanks."""
+    """Return a pulse behind a low pass of first order, with ringing at its edges."""
     step = time[1] - time[0]
     share = 1.0 - np.exp(-step / corner)
     smooth = lfilter([share], [1.0, share - 1.0], pulse)
@@ -168,7 +171,7 @@ def trigger_pulses() -> Figure:
     pulse = ((fine >= 0.0) & (fine < 200e-6)).astype(np.float64)
     cases = (
         ("good", 1e-6, 0.0, GREEN),
-        ("slow flank: late by its time constant", 40e-6, 0.0, ORANGE),
+        ("slow edge: late by 0.69 time constants", 40e-6, 0.0, ORANGE),
         ("ringing", 1e-6, 0.6, RED),
     )
     samples = np.arange(0, len(fine), 100)
@@ -177,7 +180,8 @@ def trigger_pulses() -> Figure:
         axes[1].plot(1e6 * fine, shown, color=colour, linewidth=1.2)
         axes[1].plot(1e6 * fine[samples], shown[samples], "o", color=colour, markersize=3)
         axes[1].text(-58, 6.75 - 2.5 * number, name, color=colour, fontsize=8.5, va="center")
-    axes[1].set(yticks=[], xlabel="time in µs", title="recorded at 50 kHz (points)", ylim=(-0.8, 7.3))
+        axes[1].plot([-60, 340], [5.5 - 2.5 * number] * 2, color=GREY, linewidth=0.7, linestyle=":")
+    axes[1].set(yticks=[], xlabel="time in µs", title="sampled at 50 kHz; dotted: half height", ylim=(-0.8, 7.3))
     axes[1].spines["left"].set_visible(False)
     return figure
 
@@ -205,8 +209,13 @@ def reflections() -> Figure:
         hit = number == 0
         _arrow(axis, (0.0, 0.0), (float(end[0]), float(end[1])), RED if hit else GREY)
         if number == 1:
-            axis.add_patch(Arc((0, 0), 14, 14, theta1=73 - 9, theta2=73, color=GREY))
+            angle = float(np.degrees(np.arctan2(end[1], end[0])))
+            axis.add_patch(Arc((0, 0), 13, 13, theta1=angle - 18.0, theta2=angle, color=GREY))
+            axis.text(1.2, 6.9, "2θ", fontsize=8, color=GREY, ha="center")
             axis.plot([0, 2.4], [0, 8.0], color=GREY, linewidth=0.8, linestyle=":")
+            axis.plot([0, 6.5], [0, 0], color=GREY, linewidth=0.8, linestyle=":")
+            axis.add_patch(Arc((0, 0), 9.5, 9.5, theta1=0.0, theta2=9.0, color="black"))
+            axis.text(7.2, 0.6, "θ", fontsize=8, va="center", ha="center")
     axes[0].text(
         0,
         -2.8,
@@ -217,7 +226,12 @@ def reflections() -> Figure:
         color=RED,
     )
     axes[1].text(
-        0, -2.8, "the reflection turns by 2θ:\nit moves unlike the speckle", ha="center", va="center", fontsize=8
+        0,
+        -2.8,
+        "the reflection turns by 2θ:\nit moves differently from the speckle",
+        ha="center",
+        va="center",
+        fontsize=8,
     )
     axes[2].text(0, -2.8, "the reflection passes\nthe camera", ha="center", va="center", fontsize=8, color=GREEN)
     return figure
@@ -226,16 +240,17 @@ def reflections() -> Figure:
 @mpl.rc_context(RC)
 def laboratory_day() -> Figure:
     """Draw the steps of a day over time."""
-    figure, axes = new_figure(2.5)
+    figure, axes = new_figure(2.7)
     steps = [
         ("warm up", 0.0, 1.0, GREY),
         ("calibrate cameras", 1.0, 0.5, BLUE),
         ("at rest, known displacement", 1.5, 0.25, VIOLET),
         ("first recording, shakercal look", 1.75, 0.25, ORANGE),
-        ("all frequencies, the first again", 2.0, 2.0, GREEN),
-        ("mount anew, repeat", 4.0, 2.0, GREEN),
-        ("calibrate cameras again", 6.0, 0.5, BLUE),
-        ("shakercal run, certificate draft", 6.5, 1.0, ORANGE),
+        ("all frequencies, the first again", 2.0, 1.5, GREEN),
+        ("mount anew, repeat", 3.5, 1.5, GREEN),
+        ("mount anew, repeat", 5.0, 1.5, GREEN),
+        ("calibrate cameras again", 6.5, 0.5, BLUE),
+        ("shakercal run, certificate draft", 7.0, 1.0, ORANGE),
     ]
     for number, (name, start, length, colour) in enumerate(steps):
         axes.barh(-number, length, left=start, color=colour, height=0.68)

@@ -76,8 +76,10 @@ def release_shapes() -> Figure:
         right.plot(frequency, strength, color=color)
     left.set(xlabel="time since the onset / T", ylabel="load / load before", title="Load during a release of length T")
     left.legend(fontsize=7.5, loc="upper right")
-    right.set(xlabel="frequency of a mode × T", ylabel="swing / swing after a step", xlim=(0.0, 4.0), ylim=(0.0, 1.05))
-    right.set_title("Swing of a mode after the release")
+    right.set(
+        xlabel="frequency of a mode × T", ylabel="amplitude / amplitude after a step", xlim=(0.0, 4.0), ylim=(0.0, 1.05)
+    )
+    right.set_title("Amplitude of a mode after the release")
     return figure
 
 
@@ -298,20 +300,22 @@ def amplitude_decay() -> Figure:
         rate = np.gradient(smooth, time_s[inner])
         turns = np.convolve(np.gradient(np.unwrap(np.angle(wave)), time_s), np.ones(500) / 500, "same")[inner]
         shown = (np.exp(smooth) > 0.1) & (np.exp(smooth) < 0.8)
-        left.plot(1e3 * time_s, size, color=color, label=label, linewidth=1.2)
-        middle.plot(np.exp(smooth)[shown], -100 * rate[shown] / turns[shown], color=color)
-        right.plot(np.exp(smooth)[shown], turns[shown] / (2 * np.pi), color=color)
+        # the linear sensor is wide and pale, because the others lie on it in part
+        thin = {"color": color, "linewidth": 1.3} if color != GREY else {"color": "#c3c8cf", "linewidth": 4.5}
+        left.plot(1e3 * time_s, size, label=label, **thin)
+        middle.plot(np.exp(smooth)[shown], -100 * rate[shown] / turns[shown], **thin)
+        right.plot(np.exp(smooth)[shown], turns[shown] / (2 * np.pi), **thin)
     left.set(
         xlabel="time / ms",
-        ylabel="amplitude / first swing",
+        ylabel="amplitude / first amplitude",
         title="Decay",
         yscale="log",
         ylim=(0.05, 2.5),
         xlim=(2, 200),
     )
     left.legend(fontsize=7.5, loc="upper right")
-    middle.set(xlabel="amplitude / first swing", ylabel="damping ratio / %", title="Damping", ylim=(0, 5))
-    right.set(xlabel="amplitude / first swing", ylabel="frequency / Hz", title="Frequency", ylim=(195, 201))
+    middle.set(xlabel="amplitude / first amplitude", ylabel="damping ratio / %", title="Damping", ylim=(0, 5))
+    right.set(xlabel="amplitude / first amplitude", ylabel="frequency / Hz", title="Frequency", ylim=(195, 201))
     return figure
 
 

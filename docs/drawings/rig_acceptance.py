@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,6 +17,8 @@ FloatArray = NDArray[np.float64]
 SIZE_PX, FOCAL_PX, DISTANCE_M, HALF_ANGLE_RAD = np.array([2400, 2000]), 12000.0, 0.5, np.radians(12.5)
 TRAVEL_M = 0.01
 K1 = -0.1
+REACH = 0.2, 0.2, 0.8
+"""Ends of the colour scales, equal for all faults: px, %, µm for a travel of 10 mm."""
 
 
 def _rig() -> StereoRig:
@@ -64,7 +67,8 @@ def acceptance_faults() -> Figure:
     ends = [rig.project(plate + share * TRAVEL_M * along) for share in (-0.5, 0.5)]
     left, right = (np.stack(side) for side in zip(*ends, strict=True))
     figure, panels = new_figure(4.4, 3, 6)
-    names = ("epipolar\nresidual / px", "error of\nthe scale / %", "out of plane,\n10 mm / µm")
+    names = ("epipolar\nresidual / px", "error of\nthe scale / %", "apparent motion\nout of plane / µm")
+    images = list[Any]()
     for column, (title, wrong) in zip(panels.T, _faults(rig).items(), strict=True):
         residual, *_ = epipolar_residual(wrong, left[0], right[0])
         first, last = triangulate(wrong, left, right).position_m
@@ -72,17 +76,19 @@ def acceptance_faults() -> Figure:
         scale = 100.0 * (moved @ along / TRAVEL_M - 1.0)
         out = 1e6 * moved @ normal
         fields = (residual, scale, out - out.mean())
-        for panel, values in zip(column, fields, strict=True):
-            largest = float(np.abs(values).max())
-            shown = values.reshape(x.shape) if largest > 1e-4 else np.zeros(x.shape)
-            panel.imshow(shown, cmap="RdBu_r", vmin=-max(largest, 1e-4), vmax=max(largest, 1e-4), aspect="auto")
+        for panel, values, reach in zip(column, fields, REACH, strict=True):
+            shown = panel.imshow(values.reshape(x.shape), cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
             low, high = (f"{value:+.2g}" if abs(value) > 1e-4 else "0" for value in (values.min(), values.max()))
-            panel.set_xlabel(f"{low} to {high}" if largest > 1e-4 else "0", fontsize=7.5, color=GREY, labelpad=2)
+            panel.set_xlabel(f"{low} to {high}" if low != high else low, fontsize=7.5, color=GREY, labelpad=2)
             panel.set_xticks([])
             panel.set_yticks([])
+            images.append(shown)
         column[0].set_title(title, fontsize=7.5)
     for panel, name in zip(panels[:, 0], names, strict=True):
         panel.set_ylabel(name, fontsize=8.0)
+    for row, image in zip(panels, images, strict=False):
+        bar = figure.colorbar(image, ax=row, extend="both", aspect=12, pad=0.01)
+        bar.ax.tick_params(labelsize=7.5)
     return figure
 
 

@@ -291,17 +291,25 @@ def _moved_edges(first_edge: int | dict[str, EdgeRuns] | None, count: int) -> st
 # What is found, in words and as the key that states it.
 
 
-def _amount(frames: int) -> str:
-    """Return how early (positive) or late frames are, in words."""
-    return f"{abs(frames)} frame{'s' if abs(frames) > 1 else ''} {'early' if frames > 0 else 'late'}"
-
-
 def _describe(side: str, files: IntArray, shift: IntArray) -> str:
-    """Return the shifts (F,) of a camera in words."""
-    parts = [f"{_amount(int(shift[0]))} from frame {files[0]} on"] if shift[0] else []
-    for at in (np.flatnonzero(np.diff(shift)) + 1).tolist():
-        parts.append(f"{_amount(int(shift[at])) if shift[at] else 'in time again'} from frame {files[at]} on")
-    return f"the {side} camera is " + ", ".join(parts)
+    """Return the shifts of a camera in words.
+
+    `shift` (F,): frames by which its files show later edges than assumed.
+    """
+    parts = list[str]()
+    if shift[0]:
+        late = "later" if shift[0] > 0 else "earlier"
+        parts.append(f"shows edges {_frames(int(shift[0]))} {late} than assumed from frame {files[0]} on")
+    jumps = np.diff(shift)
+    for at in np.flatnonzero(jumps).tolist():
+        event = "lost" if jumps[at] > 0 else "repeated"
+        parts.append(f"{event} {_frames(int(jumps[at]))} before frame {files[at + 1]}")
+    return f"the {side} camera " + ", ".join(parts)
+
+
+def _frames(count: int) -> str:
+    """Return a number of frames in words, without its sign."""
+    return f"{abs(count)} frame{'s' if abs(count) > 1 else ''}"
 
 
 def _of_all_frames(

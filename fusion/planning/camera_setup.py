@@ -121,7 +121,7 @@ def _rows(setup: CameraSetup) -> Iterator[tuple[str, str, str]]:
     yield "speckle on the object", f"{1e3 * found.speckle_m:.2f}", "mm"
     yield "depth of field, blur of 1 px", f"{1e3 * found.depth_m:.1f}", "mm"
     yield "diffraction disc", f"{found.airy_px:.1f}", "px"
-    yield "pixels on the face", f"{1e-3 * found.used_px:.0f}", "1000"
+    yield "pixels on the face", f"{1e-6 * found.used_px:.2g}", "million"
     yield "noise of a frame, x", f"{x:.2g}", "nm"
     yield "noise of a frame, y", f"{y:.2g}", "nm"
     yield "noise of a frame, z (along the view)", f"{z:.2g}", "nm"

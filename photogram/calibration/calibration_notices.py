@@ -21,9 +21,9 @@ LITTLE_TILT = DeclaredNotice(
 LOW_COVERAGE = DeclaredNotice(
     "SC-252",
     "warning",
-    "The points cover {share_percent:.0f} % of the {side} image.",
+    "The points cover {share_percent:.0f} % of the {side} image and {corners} of its 4 corners.",
     effect="The distortion is extrapolated in the rest.",
-    remedy="Add views with the target near the edges, or measure within the covered area.",
+    remedy="Add views with the target near the edges and in the corners, or measure within the covered area.",
     link="cameras.md#how-a-good-session-looks",
 )
 UNCERTAIN_FOCAL_LENGTH = DeclaredNotice(

@@ -191,10 +191,17 @@ _MIN_TILT_RAD = np.radians(2.0)  # rms tilt below which focal lengths are undete
 
 def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
     """Return the share of the image's 8 × 6 cells that contain a point."""
+    return float(_covered_cells(images, size_px).mean())
+
+
+def _covered_cells(images: Sequence[CalibratedImage], size_px: IntArray) -> BoolArray:
+    """Return which of the image's cells (8, 6), columns first, contain a point."""
     points = np.concatenate([image.position_px[image.used] for image in images])
     cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
     inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
-    return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
+    covered = np.zeros(COVERAGE_CELLS, np.bool_)
+    covered[tuple(inside.T)] = True
+    return covered
 
 
 def tilt_spread(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
@@ -288,9 +295,13 @@ def _view_notices(calibration: Calibration) -> Iterator[Notice]:
     if spread[0] < _LOW_TILT_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
         yield Notice(LITTLE_TILT, "views", spread_deg=float(np.degrees(spread[0])), axis=axis)
-    for side, share in zip(("left", "right"), calibration.image_coverage, strict=True):
-        if share < _MIN_IMAGE_COVERAGE:
-            yield Notice(LOW_COVERAGE, side, share_percent=100 * share, side=side)
+    sides = ("left", calibration.rig.left), ("right", calibration.rig.right)
+    for share, (side, camera) in zip(calibration.image_coverage, sides, strict=True):
+        images = [image for view in calibration.views if (image := getattr(view, side)) is not None]
+        if images:
+            corners = int(_covered_cells(images, camera.size_px)[::7, ::5].sum())
+            if share < _MIN_IMAGE_COVERAGE or not corners:
+                yield Notice(LOW_COVERAGE, side, share_percent=100 * share, side=side, corners=corners)
 
 
 def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:

@@ -140,6 +140,14 @@ def test_frames_lost_and_repeated_within_the_record_are_named_with_their_key(nam
     assert (error.code, error.values["stated"]) == (FRAMES_OUT_OF_ORDER.code, f"first_edge = {key}")
 
 
+@pytest.mark.parametrize(
+    ("change", "event"),
+    [(dropped(9, 2), "lost 2 frames before frame 9"), (repeated(7), "repeated 1 frame before frame 7")],
+)
+def test_the_camera_and_what_its_recorder_did_are_named(change, event):
+    assert checked(tracked({"right": change})).values["changes"] == f"the right camera {event}"
+
+
 def test_a_late_camera_that_loses_a_frame_has_both_in_its_key():
     error = checked(tracked({"right": lambda edges: dropped(13)(shifted(2)(edges))}))
     assert error.values["stated"].startswith("first_edge = { left = 6, right = [[0, 4], [13, 18]] } or ")

@@ -66,17 +66,26 @@ def test_a_telecentric_lens_is_refused_by_name(seed):
     refused(words, calibrate_pair, session(telecentric, seed)[0], BOARD.target)
 
 
+<<<<<<< HEAD
 @pytest.mark.parametrize("angle_deg", [10.0, *slow(0.0, 2.0, 5.0)])
 def test_a_tilted_sensor_is_a_pinhole_with_another_axis(angle_deg):
     """Scheimpflug: the residuals are the noise, and lengths in the field are right to 2·10⁻⁴ rms."""
+=======
+@pytest.mark.parametrize(
+    ("angle_deg", "seed", "limit"),
+    [(0.0, 1, 1e-4), (2.0, 1, 1e-4), (5.0, 1, 1e-4), (5.0, 2, 1e-4), (10.0, 1, 1e-4), (10.0, 3, 1e-3)],
+)
+def test_a_tilted_sensor_is_a_pinhole_with_another_axis(angle_deg, seed, limit):
+    """Scheimpflug: the residuals are the noise; lengths in the field, rms, suffer at 10° only, by the distortion."""
+>>>>>>> d57-fixc
     lens = tilted(np.radians(angle_deg))
-    pairs, right_from_left = session(lens)
+    pairs, right_from_left = session(lens, seed)
     found = calibrate_pair(pairs, BOARD.target)
     assert found.rms_px == pytest.approx(np.sqrt(2.0) * NOISE_PX, rel=0.05)
-    assert {notice.code for notice in found.notices} <= {"SC-254", "SC-257", "SC-258", "SC-261"}
+    assert {notice.code for notice in found.notices} <= {"SC-252", "SC-254", "SC-257", "SC-258", "SC-261"}
     middle = np.mean([view.left_from_target.apply(BOARD.points_m.mean(axis=0)) for view in found.views], axis=0)
     points = middle + np.random.default_rng(2).uniform(-0.02, 0.02, (200, 3))
     pixels = [lens(one)[None] for one in (points, right_from_left.apply(points))]
     seen = locate(found.rig, pixels).position_m[0]
     true_m, seen_m = (np.linalg.norm(one[:100] - one[100:], axis=1) for one in (points, seen))
-    assert np.sqrt(np.mean((seen_m - true_m) ** 2)) < 2e-4 * np.sqrt(np.mean(true_m**2))
+    assert np.sqrt(np.mean((seen_m - true_m) ** 2)) < limit * np.sqrt(np.mean(true_m**2))

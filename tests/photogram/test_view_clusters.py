@@ -12,7 +12,7 @@ from contracts import refused
 from photogram.calibration import calibration_notices as notices
 from photogram.calibration import initial_bundle
 from photogram.calibration.bundle import Bundle, ImageObservations, make_shape
-from photogram.calibration.calibration_result import Calibration
+from photogram.calibration.calibration_result import Calibration, session_notices
 from photogram.calibration.initial_bundle import ViewPair, start_bundle
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.view_clusters import pose_clusters, reject_copies, repeated_variance
@@ -63,6 +63,22 @@ def _copy(view: TargetView, name: str, error_px: float = 0.0, seed: int = 0) -> 
     """The view of a copied image, whose points encoding moves by some px."""
     moved = view.position_px + error_px * np.random.default_rng(seed).normal(size=view.position_px.shape)
     return replace(view, name=name, position_px=moved)
+
+
+@pytest.mark.parametrize("reached", [0, 1, 4])
+def test_a_session_whose_points_reach_no_corner_is_named(reached):
+    """Points of the left images within half of the width and height, and some at the corners of the image."""
+    found = calibrate_pair(_session(4, 9, 1, 0.0)[1], BOARD.target, "flat", lens="polynomial")
+    corners, middle = np.array([[1, 1], [1, -2], [-2, 1], [-2, -2]])[:reached] % SIZE, (SIZE - 1) / 2
+    views = []
+    for view in found.views:
+        position = middle + 0.5 * (view.left.position_px - middle)
+        position[:reached] = corners
+        left = replace(view.left, position_px=position, used=np.ones(len(position), np.bool_))
+        views.append(replace(view, left=left))
+    changed = replace(found, views=tuple(views), image_coverage=(0.7, 0.9))
+    of_left = [one for one in session_notices(changed) if (one.code, one.where) == (notices.LOW_COVERAGE.code, "left")]
+    assert [one.values["corners"] for one in of_left] == ([] if reached else [0])
 
 
 def test_images_of_held_poses_are_counted_by_pose_and_their_shared_error_is_in_u():

@@ -8,13 +8,15 @@ from fusion.base import prefix
 from fusion.cameras.accept.moved_plate import MotionTest
 from fusion.cameras.accept.stationary_scene import COMPONENTS, StationaryTest
 from fusion.cameras.camera_figures import LONGEST_SHARE, draw_arrows, two_digits
-from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, Figure, Panel, Scale, empty_figure
+from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, PURPLE, Figure, Panel, Scale, empty_figure
 from shaker.lines.spectrum import amplitude_spectrum
 from shakercal._common.arrays import FloatArray
 
 HALVES = (("translation", slice(0, 3), "m"), ("rotation", slice(3, 6), "rad"))
 FIELD_QUANTILE = 0.99
 """Share of the points whose values are inside the colour scale."""
+PALE = 2.5
+"""End of a colour scale over the largest value where arrows are drawn on the colours."""
 
 
 def draw_drift(test: StationaryTest) -> Figure:
@@ -45,15 +47,16 @@ def draw_noise_spectrum(test: StationaryTest) -> Figure:
             panel.line(spectrum.frequency_hz[1:-1], column / factor, name, colour=colour, width=0.8)
         # mean amplitude of white noise in a bin of the Hann spectrum: √(π/4) of its rms, 2·σ·√(1.5/N)
         floor = test.predicted[part] * 2.0 * np.sqrt(1.5 / len(test.time)) * np.sqrt(np.pi) / 2.0
-        panel.rule(floor / factor, "predicted", colour=GREY, dashed=True)
-        panel.rule(test.lines.frequency_hz, "vibration", along="x", colour=RED, dashed=True)
+        for colour, at in zip(COLOURS, (floor / factor).tolist(), strict=False):
+            panel.rule(at, "", colour=colour, dashed=True)
+        panel.rule(test.lines.frequency_hz, "vibration", along="x", colour=PURPLE, width=2.0)
         panel.y.log = True
         panel.x.label = "frequency / Hz" if test.has_rate else "periods per frame"
         panel.y.label, panel.title = f"amplitude / {letter}{unit}", title
     caption = (
-        "Amplitude spectrum of the scene at rest. Grey: noise that the Cramér–Rao bound of these images predicts for "
-        "each component. A flat spectrum at this level is the best that the images permit. A peak is a vibration, or "
-        "the alias of a faster one; a rise to low frequencies is drift or moving air."
+        "Amplitude spectrum of the scene at rest. Dashed, in the colour of each component: noise that the Cramér–Rao "
+        "bound of these images predicts for it. A flat spectrum at this level is the best that the images permit. A "
+        "peak is a vibration, or the alias of a faster one; a rise to low frequencies is drift or moving air."
     )
     return drawn.with_title("Noise spectrum of the scene at rest", caption, main=True)
 
@@ -81,7 +84,7 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
     strain.title = "apparent strain at the end of the motion"
     out = test.travel * field.remainder[:, 2]
     factor, letter = prefix(out)
-    _colours(bending, places, side, out / factor, f"out of plane / {letter}m")
+    _colours(bending, places, side, out / factor, f"out of plane / {letter}m", PALE)
     width = float(np.ptp(places[:, 0]))
     longest = draw_arrows(bending, places, test.travel * field.remainder[:, :2], LONGEST_SHARE * width, BLACK)
     factor, letter = prefix(longest)
@@ -99,9 +102,12 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
     return drawn.with_title(f"Residual fields, {label}", caption, main=test.kind == "translation")
 
 
-def _colours(panel: Panel, places: FloatArray, side: float, values: FloatArray, label: str) -> None:
-    """Draw a signed field as coloured squares, symmetric about zero."""
-    largest = float(np.quantile(np.abs(values), FIELD_QUANTILE)) or 1.0
+def _colours(panel: Panel, places: FloatArray, side: float, values: FloatArray, label: str, reach: float = 1.0) -> None:
+    """Draw a signed field as coloured squares, symmetric about zero.
+
+    The scale ends at `reach` times the largest values.
+    """
+    largest = reach * (float(np.quantile(np.abs(values), FIELD_QUANTILE)) or 1.0)
     panel.squares(
         places, side, values=np.clip(values, -largest, largest), scale=Scale("RdBu", -largest, largest, label)
     )

@@ -15,7 +15,7 @@ from fusion.report.figure import (
     GREEN,
     GREY,
     LIGHT,
-    ORANGE,
+    PURPLE,
     RED,
     Figure,
     Panel,
@@ -181,7 +181,7 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
     value, at_measured = model.response(frequency) / static, model.response(measured_hz) / static
     drawn = empty_figure(name, 6.2, (2.0, 1.3, 1.1))
     upper, middle, lower = drawn.panels
-    for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
+    for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", PURPLE, "±10 %")):
         end = component.find(index)
         if end is not None and np.isfinite(end.value):
             upper.rule(end.value, f"{label} up to {number_text(end.value, 4)} Hz", along="x", colour=colour, width=1.0)
@@ -208,9 +208,9 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
         frequency_axis(panel.x, frequency, 1.0)
     upper.x.label = middle.x.label = ""
     caption = (
-        "Model (red, with U) over its static gain, and the releases without a model (blue): the spectrum of the "
-        "output's derivative over that of the load. Green and orange: limits within which |H| is within 5 and 10 % of "
-        "the static gain. Below: their difference over the static gain, and the contribution of noise (grey)."
+        "Model (line, with U) over its static gain, and the releases without a model (points): the spectrum of the "
+        "output's derivative over that of the load. Vertical lines: |H| is within 5 and 10 % of the static gain up to "
+        "there. Below: difference of model and releases over the static gain, and the contribution of noise (grey)."
     )
     return drawn.with_title(f"Output {component.channel} over load {component.component}", caption, main=True)
 
