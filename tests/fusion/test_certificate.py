@@ -42,6 +42,7 @@ def evaluated(demo_recording: Path, demo_evaluation: Evaluation, tmp_path_factor
     shutil.copytree(demo_recording, folder)
     (folder / "Fz-0080" / "truth.json").unlink()
     edit(folder / "Fz-0080" / "recording.toml", ", simulated", "")
+    edit(folder / "Fz-0080" / "recording.toml", "simulated = true\n", "")
     manifest = load_manifest(folder / "Fz-0080")
     hashes = hash_files(manifest.files, manifest.root).hashes
     with pytest.MonkeyPatch.context() as patch:

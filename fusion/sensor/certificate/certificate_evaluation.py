@@ -51,11 +51,11 @@ from fusion.sensor.certificate.certificate_inputs import (
 )
 from fusion.sensor.certificate.certificate_refusals import (
     calibration_days,
-    is_simulated,
     refusal_of,
     refusals,
     unacknowledged,
 )
+from fusion.sensor.certificate.certificate_traceability import least_certified
 from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
 from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
@@ -112,7 +112,7 @@ def evaluate_certificate(
         stated = form or Form(format=1)
         if command is None:
             folders = [top] if is_single else [top / manifest.folder.name for manifest in manifests]
-            content = _sensitivities(folder.resolve().name, manifests, folders, top, stated)
+            content = _sensitivities(folder.resolve().name, manifests, folders, top, stated, form_path)
         else:
             content = _numbers(command, manifests, top, stated)
         problems += unacknowledged(content.warnings, form_path)
@@ -142,12 +142,12 @@ def _certificate(content: CertificateContent, form: Form, manifests: Sequence[Ma
         loads=_loads(manifests) if content.elements else (),
         down=tuple(dict.fromkeys(down)),
         centre_m=() if load is None else load.centre_of_mass,
-        specimen=any(is_simulated(manifest) for manifest in manifests),
+        specimen=any(manifest.simulated for manifest in manifests),
     )
 
 
 def _sensitivities(
-    name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form
+    name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form, form_path: Path
 ) -> CertificateContent:
     """Return the sensitivities of a campaign `name`, or of a recording, from results of `run`."""
     recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
@@ -167,6 +167,7 @@ def _sensitivities(
         elements=elements,
         **_split(notices, [*chain(*(entry.joint_notices for entry in recorded)), *evaluation.notices]),
         versions=recorded[0].origin.versions,
+        shares=least_certified(evaluation, form.equipment, form_path),
     )
 
 
