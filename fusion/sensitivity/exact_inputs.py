@@ -1,4 +1,4 @@
-"""Inputs of a sensitivity that count as exact, because the manifests state no uncertainty of them."""
+"""Inputs of a sensitivity that count as exact, without a stated uncertainty."""
 
 from __future__ import annotations
 

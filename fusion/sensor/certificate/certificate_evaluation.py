@@ -27,6 +27,7 @@ from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, loa
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
+from fusion.report.tables import result_name
 from fusion.sensitivity.load_phasors import budget
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor import result_notices as declared
@@ -55,7 +56,7 @@ from fusion.sensor.certificate.certificate_refusals import (
     refusals,
     unacknowledged,
 )
-from fusion.sensor.certificate.certificate_traceability import least_certified
+from fusion.sensor.certificate.certificate_traceability import MainValue, least_certified
 from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
 from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
@@ -167,8 +168,28 @@ def _sensitivities(
         elements=elements,
         **_split(notices, [*chain(*(entry.joint_notices for entry in recorded)), *evaluation.notices]),
         versions=recorded[0].origin.versions,
-        shares=least_certified(evaluation, form.equipment, form_path),
+        shares=least_certified(
+            _main_values(evaluation),
+            (row for entry in recorded for row in entry.evidence),
+            form.equipment,
+            form_path,
+        ),
     )
+
+
+def _main_values(evaluation: CampaignEvaluation) -> Iterator[MainValue]:
+    """Yield every main value, ratios only if there is nothing else."""
+    kinds = {curve.kind for curve in evaluation.curves}
+    kind = next((kind for kind in ("matrix", "element", "ratio") if kind in kinds), None)
+    for curve in (curve for curve in evaluation.curves if curve.kind == kind):
+        for e, (channel, component) in enumerate(curve.elements):
+            if channel != main_channel(evaluation, curve.channels, component):
+                continue
+            uncertainty = curve.uncertainty.at([e])
+            name = result_name(curve.kind, curve.channels[channel], LOAD_COMPONENTS[component], main=True)
+            for line in np.flatnonzero(np.isfinite(curve.value[:, e])).tolist():
+                frequency_hz = float(curve.frequency_hz[line])
+                yield name, frequency_hz, curve.value[[line]][:, [e]], uncertainty.at_lines([line])
 
 
 def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:

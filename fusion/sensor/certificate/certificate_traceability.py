@@ -1,21 +1,18 @@
-"""Shares of the variance of a result whose inputs have a certificate, and of those without one."""
+"""Shares of a variance by inputs with a certificate, and by those without one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from fusion.campaign.joint_evaluation import CampaignEvaluation, main_channel
 from fusion.errors import InputError
-from fusion.report.tables import result_name
+from fusion.estimation.uncertainty import Uncertainty
 from fusion.report.traceability import SMALLEST_SHARE, trace_inputs
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor import result_notices as declared
 from fusion.sensor.certificate.certificate_form import CertifiedEquipment
-from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import ComplexArray
 
 TRACEABLE = "The results are traceable to the SI through the certificates of the references and instruments listed."
 
@@ -52,54 +49,47 @@ class CertificateShares:
         ).replace("%", " %")
 
 
+MainValue = tuple[str, float, ComplexArray, Uncertainty]
+"""Name, frequency (Hz), value (1, 1) and uncertainty of a main value."""
+
+
 def least_certified(
-    evaluation: CampaignEvaluation, equipment: Sequence[CertifiedEquipment], path: Path
+    values: Iterable[MainValue],
+    evidence: Iterable[InputEvidence],
+    equipment: Sequence[CertifiedEquipment],
+    path: Path,
 ) -> CertificateShares | None:
-    """Return the shares of the main value with the largest share of inputs without a certificate.
+    """Return the shares of the value with the largest share of inputs without a certificate.
 
     `equipment` of the form at `path`: its certificates apply to the inputs that it names. Raises `InputError` for a
     name that no uncertain input has.
     """
-    evidence = _of_equipment({row for entry in evaluation.recorded for row in entry.evidence}, equipment, path)
-    return max(_shares(evaluation, evidence), key=lambda one: one.missing, default=None)
+    rows = _of_equipment(evidence, equipment, path)
+    certified = {row.input for row in rows if row.certificate}
+    found = []
+    for name, frequency_hz, value, uncertainty in values:
+        stated = [one for one in trace_inputs(value, uncertainty, rows) if one.key]
+        covered = sum(one.of_magnitude for one in stated if one.key in certified)
+        others = tuple((one.name, one.of_magnitude) for one in stated if one.key not in certified)
+        found.append(CertificateShares(name, frequency_hz, covered, others))
+    return max(found, key=lambda one: one.missing, default=None)
 
 
 def _of_equipment(
     evidence: Iterable[InputEvidence], equipment: Sequence[CertifiedEquipment], path: Path
 ) -> list[InputEvidence]:
     """Return the evidence with the certificates of the equipment."""
-    rows = sorted(evidence, key=lambda row: (row.unknown, row.input, row.certificate))
+    rows = sorted(set(evidence), key=lambda row: (row.unknown, row.input, row.certificate))
     for one in equipment:
         for name in one.inputs:
             covered = [f".{row.input.rpartition(': ')[2]}".endswith(f".{name}") for row in rows]
             if not any(covered):
                 keys = ", ".join(sorted({row.input.rpartition(": ")[2] for row in rows}))
                 raise InputError(declared.UNKNOWN_CERTIFIED_INPUT, path, "equipment.inputs", found=name, keys=keys)
-            certified = {"certificate": one.certificate, "laboratory": one.laboratory}
             rows = [
-                replace(row, **certified) if is_covered and not row.certificate else row
+                replace(row, certificate=one.certificate, laboratory=one.laboratory)
+                if is_covered and not row.certificate
+                else row
                 for row, is_covered in zip(rows, covered, strict=True)
             ]
     return rows
-
-
-def _shares(evaluation: CampaignEvaluation, evidence: Sequence[InputEvidence]) -> Iterator[CertificateShares]:
-    """Yield the shares of every main value, of ratios only if there is nothing else."""
-    with_certificate = {row.input for row in evidence if row.certificate}
-    kinds = {curve.kind for curve in evaluation.curves}
-    kind = next((kind for kind in ("matrix", "element", "ratio") if kind in kinds), None)
-    for curve in (curve for curve in evaluation.curves if curve.kind == kind):
-        for e, (channel, component) in enumerate(curve.elements):
-            if channel != main_channel(evaluation, curve.channels, component):
-                continue
-            of_element = curve.uncertainty.at([e])
-            name = result_name(curve.kind, curve.channels[channel], LOAD_COMPONENTS[component], main=True)
-            for line in np.flatnonzero(np.isfinite(curve.value[:, e])).tolist():
-                inputs = trace_inputs(curve.value[[line]][:, [e]], of_element.at_lines([line]), evidence)
-                stated = [one for one in inputs if one.key]
-                yield CertificateShares(
-                    name,
-                    float(curve.frequency_hz[line]),
-                    sum(one.of_magnitude for one in stated if one.key in with_certificate),
-                    tuple((one.name, one.of_magnitude) for one in stated if one.key not in with_certificate),
-                )

@@ -463,10 +463,11 @@ def _filter(
 
 
 def _settle_as_step(found: Indices, model: ModalModel, u: dict[str, float | None], dof: dict[str, float]) -> None:
-    """Replace u and degrees of freedom of the settling times by those of `settling_interval`, as `step` reports them.
+    """Replace u and degrees of freedom of the settling times, as `step` reports them.
 
-    Settling times are discontinuous: a slope over the discontinuity, times the k of few degrees of freedom, has no
-    meaning. An interval without the time, that of a model with fewer modes, is not used.
+    They are those of `settling_interval`. Settling times are discontinuous: a slope over the discontinuity, times the k
+    of few degrees of freedom, has no meaning. An interval without the time, that of a model with fewer modes, is not
+    used.
     """
     of_damping = dof["damping_ratio"]
     k = coverage_factor(of_damping)
