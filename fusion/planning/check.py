@@ -37,6 +37,7 @@ from fusion.recording.toml import quote_key
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
 from fusion.recording.values import PULSE
+from fusion.sensitivity.exact_inputs import exact_inputs
 from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.signal_notices import PERIODIC_ESTIMATE, REST_ESTIMATE
@@ -182,6 +183,8 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
         seen = {manifest.rig.stereo[one.stereo].body for take in takes for one in (*take.images, *take.points)}
         remarks += _unstated(manifest, entries, seen)
+        exact = exact_inputs(manifest, entries) if manifest.rig.sensor is not None else ""
+        remarks += [f"counted as exact, no uncertainty stated: {exact}"] * bool(exact)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
         problems += _missing_mode_entries(manifest, takes) if "run" in kind.commands else []
     else:

@@ -59,6 +59,10 @@ from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
+TRUTH = "truth.json"
+"""File that the simulator writes next to a recording: marks it as simulated."""
+SIMULATED_NAME = ", simulated"
+"""End of the name of a simulated recording."""
 PLACEHOLDER_MIRROR_M = 1e6
 """Coordinates of a mirror that is no channel's point, for heads of a rig with errors."""
 
@@ -376,7 +380,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False, text: dict
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
-        simulated=record.simulated,
+        simulated=record.simulated or record.name.endswith(SIMULATED_NAME) or (path.parent / TRUTH).is_file(),
         acknowledged=(*rig.acknowledged, *record.acknowledged),
         inputs=(*of_rig, *_own_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(

@@ -260,8 +260,9 @@ def _traceability(evaluation: Evaluation) -> dict[str, Any]:
         return {"traceability": None}
     found, index = main
     labelled = found.labelled()
-    uncertainty = labelled.uncertainty.at([index])
-    inputs = trace_inputs(labelled.value[:, [index]], uncertainty, _evidence(evaluation))
+    driven = [line for line, kind in enumerate(labelled.kind) if kind != "harmonic"]
+    uncertainty = labelled.uncertainty.at([index]).at_lines(driven)
+    inputs = trace_inputs(labelled.value[driven][:, [index]], uncertainty, _evidence(evaluation))
     return traceability(inputs, labelled.elements[index])
 
 

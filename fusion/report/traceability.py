@@ -137,7 +137,7 @@ def traceability_table(inputs: Sequence[TracedInput], result: str) -> Table | No
         page_column("of the phase / %", lambda entry: percent(entry.of_phase)),
         page_column("U of the magnitude falls at half its u by / %", lambda entry: percent(entry.gain)),
     ]
-    return table(f"Inputs of {result}, largest shares over all frequencies", columns, shown)
+    return table(f"Inputs of {result}, largest shares over the driven frequencies", columns, shown)
 
 
 @dataclass(frozen=True)

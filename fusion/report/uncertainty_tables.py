@@ -226,7 +226,7 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, element: int, quant
     u = np.array([[entry.u_relative[line, element], entry.u_phase_rad[line, element]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
     share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
-    order = np.argsort(-np.sum(u**2, axis=1), kind="stable")
+    order = np.argsort(-u[:, 0], kind="stable")  # of the magnitude, as in its figure
     shown = [int(element) for element in order if np.max(share[element]) >= SMALLEST_SHARE]
     rows: list[tuple[str, ...]] = []
     for index in shown:

@@ -22,6 +22,7 @@ from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.manifest import EdgeRuns
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse, elastic_rows, main_output
 from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, unstated_chain, with_base_strain
+from fusion.sensitivity.exact_inputs import exact_inputs_notice
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.moving_body import load_body, with_measured_modes
 from fusion.sensitivity.ratio import driven_component, with_ratios
@@ -117,6 +118,7 @@ def evaluate_set_ups(
     entries = [reading.entry for reading in joined.readings]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
     missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, carried_by(supports))]
+    missing += exact_inputs_notice(manifest, entries)
     if sensor is not None and direction is not None:
         found, component = analysis.element or analysis.sensitivity, driven_component(direction, sensor.capacity)
         missing += unstated_chain(found, entries, component, signed=sensor.static_sensitivity is not None)

@@ -60,6 +60,15 @@ CROSS_TALK_BOUND = DeclaredNotice(
     remedy="State `sensor.static_sensitivity` with its cross-talk to correct it.",
     link="uncertainty.md",
 )
+EXACT_INPUTS = DeclaredNotice(
+    "SC-923",
+    "note",
+    "These inputs count as exact, because no uncertainty of them is stated ({inputs}).",
+    remedy="State their uncertainties, such as `scale_uncertainty` in `[daq.defaults]`.",
+    possible_size="the relative error of a scale or a mass changes the sensitivity by up to the same share; of the "
+    "others not known",
+    link="uncertainty.md",
+)
 
 # The result.
 

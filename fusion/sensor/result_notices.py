@@ -332,6 +332,13 @@ WRONG_SIGNATURE = DeclaredNotice(
     remedy="Ask the laboratory for the original file.",
     link="certificate.md",
 )
+UNKNOWN_CERTIFIED_INPUT = DeclaredNotice(
+    "SC-924",
+    "error",
+    "expected keys of inputs with an uncertainty, found {found}",
+    remedy="Name the end of a key, such as `load.mass`. The inputs are: {keys}.",
+    link="certificate.md",
+)
 OTHER_PAGE = DeclaredNotice(
     "SC-967",
     "error",

@@ -44,6 +44,7 @@ def evaluated(demo_recording: Path, demo_evaluation: Evaluation, tmp_path_factor
     shutil.copytree(demo_recording, folder)
     (folder / "Fz-0080" / "truth.json").unlink()
     edit(folder / "Fz-0080" / "recording.toml", ", simulated", "")
+    edit(folder / "Fz-0080" / "recording.toml", "simulated = true\n", "")
     manifest = load_manifest(folder / "Fz-0080")
     hashes = hash_files(manifest.files, manifest.root).hashes
     with pytest.MonkeyPatch.context() as patch:
@@ -336,3 +337,40 @@ def test_every_clause_of_the_auditors_list_is_found_in_the_xml(certified: tuple[
         for name in re.findall(r"Statements, (\w+(?: \w+)?)", row[3]):
             assert name == "Remarks" or name in statements, name
             assert name == "Remarks" or f"<dt>{name}</dt>" in page, name
+
+
+def _relative_variances(inputs: list[dict[str, str]]) -> dict[str, float]:
+    """Return the variance of the relative magnitude by the key of each input, of exported inputs of one value."""
+    found: dict[str, float] = {}
+    for row in inputs:
+        value = complex(float(row["value_re"]), float(row["value_im"]))
+        along = np.array([value.real, value.imag]) / abs(value) ** 2
+        u, r = np.array([float(row["u_re"]), float(row["u_im"])]) * along, float(row["correlation"])
+        variance = float(u @ u + 2.0 * r * u[0] * u[1])
+        found[row["stated_in"]] = found.get(row["stated_in"], 0.0) + variance
+    return found
+
+
+def test_the_statement_of_traceability_has_the_shares_of_the_exported_inputs(
+    campaign: Path, tmp_path: Path, refused: RefusedCommand
+) -> None:
+    assert main(["export", str(campaign / "results" / "Fz-0080"), "--inputs", "-o", str(tmp_path / "i.csv")]) == 0
+    driven = [row for row in rows(tmp_path / "i.csv") if row["kind"] == "element" and row["component"] == "Fz"]
+    variances = _relative_variances([row for row in driven if row["frequency_hz"].startswith("80.")])
+    total = sum(variances.values())
+    stated = sum(variance for key, variance in variances.items() if key)
+    shares = evaluate_certificate(campaign).shares
+    assert shares is not None
+    assert shares.certified == 0.0
+    assert shares.missing == pytest.approx(stated / total, rel=1e-3)
+    assert "statements of the laboratory" in shares.statement
+    form = campaign / "certificate.toml"
+    edit(form, 'laboratory = "Mass laboratory"', 'laboratory = "Mass laboratory"\ninputs = ["internal_mass"]')
+    covered = evaluate_certificate(campaign).shares
+    assert covered is not None
+    internal = variances["rig.toml: sensor.internal_mass"] / total
+    assert internal > 0.05
+    assert covered.certified == pytest.approx(internal, rel=1e-3)
+    assert covered.missing == pytest.approx(shares.missing - internal, rel=1e-3)
+    edit(form, '["internal_mass"]', '["internal_mas"]')
+    assert raised.UNKNOWN_CERTIFIED_INPUT.code in refused("certificate", campaign)

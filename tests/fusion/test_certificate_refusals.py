@@ -123,4 +123,5 @@ def test_simulated_recordings_give_a_specimen_only(demo: Path, refused: RefusedC
     (folder / "Fz-0080" / "truth.json").unlink()
     assert raised.SIMULATED_RECORDINGS.code in refused("certificate", folder)  # by its name
     edit(folder / "Fz-0080" / "recording.toml", ", simulated", "")
+    edit(folder / "Fz-0080" / "recording.toml", "simulated = true\n", "")
     assert raised.NOT_A_SPECIMEN.code in refused("certificate", folder, "--specimen")

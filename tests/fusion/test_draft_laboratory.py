@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import pytest
 from calibration_files import write_all
-from support import folder_contents
+from support import edit, folder_contents
 
 from fusion.cli import main
 from fusion.planning.check import check
@@ -25,7 +25,7 @@ ANSWERS = """
 sense = "on_sensor"
 point = [0.0, 0.0, 0.069]
 direction = [0.0, 0.0, 1.0]
-scale = { value = 0.1, U_relative = 1e-3, k = 2 }
+Laser.scale = { value = 0.1, U_relative = 1e-3, k = 2 }
 exposure = 60e-6
 rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
 translation = [0.0, 0.0, 0.4]
@@ -95,6 +95,20 @@ def test_a_further_recording_of_numbered_files_asks_for_nothing(campaign: Path, 
     assert stated == [("Messung_0002", "Messung_0002.csv"), ("Bruecke_0002", "Bruecke_0002.tdms")]
     manifest = load_manifest(campaign / "Fz_125Hz_1")
     assert (manifest.mounting, check(manifest).problems) == ("2", ())
+
+
+def test_one_line_states_the_uncertainty_of_all_outputs_and_further_recordings_have_it(campaign: Path) -> None:
+    edit(campaign / "Fz_063Hz_1" / "recording.toml", "# scale_uncertainty = 0.0001", "scale_uncertainty = 5e-4")
+    run_init(campaign, campaign / "Fz_063Hz_1")
+    for name in ("Fz_063Hz_1", "Fz_125Hz_1"):
+        _, bridge = load_manifest(campaign / name).daq
+        assert [entry.scale_uncertainty for entry in bridge.channel if entry.quantity == "output"] == [5e-4] * 6
+
+
+def test_recordings_of_the_simulator_are_simulated_whatever_their_manifests_state(campaign: Path) -> None:
+    assert load_manifest(campaign / "Fz_063Hz_1").simulated
+    (campaign / "Fz_063Hz_1" / "truth.json").unlink()
+    assert not load_manifest(campaign / "Fz_063Hz_1").simulated
 
 
 def test_a_calibration_of_another_program_leads_to_the_command_that_converts_it(files: Path, tmp_path: Path) -> None:

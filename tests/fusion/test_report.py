@@ -113,6 +113,8 @@ def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
     table, load, motion = budget_tables(evaluation)
     assert table.rows[0][0] == "internal mass"
     assert table.rows[0][2:5] == ("0.002 kg", "−0.13", "−0.13")
+    named = [float(row[6]) for row in table.rows if row[1]]
+    assert named == sorted(named, reverse=True), "by the magnitude, as the figure"
     # One recording has nothing to say of these two, and they are no zeros.
     *causes, repeated, mounted, _ = table.rows
     assert [row[:3] for row in (repeated, mounted)] == [

@@ -203,6 +203,7 @@ def _sight(
         yield optional_line("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")
 
 
+U_SCALE = "relative standard uncertainty (k = 1) of the scale"
 FARTHEST_M = 5.0  # of a point of a body: larger coordinates are in mm
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
 
@@ -269,7 +270,8 @@ def _daq_block(recorder: RecorderFile, file: str, responses: Sequence[Path]) -> 
     measuring = [item for item in recorder.channels if item.quantity != "trigger"]
     shared = _shared_keys(measuring)
     response = key_line("response", own_responses[0].name, "guessed: named after this file") if own_responses else ""
-    if len(measuring) > 1 and (shared or response):
+    outputs_only = {item.quantity for item in measuring} == {"output"}
+    if len(measuring) > 1 and (shared or response or outputs_only):
         yield "\n[daq.defaults]  # of all channels of this file that do not state them"
         yield from [question_line(key, why) for key, why in shared.items()]
         yield from [response] if response else []
@@ -286,6 +288,8 @@ def _daq_block(recorder: RecorderFile, file: str, responses: Sequence[Path]) -> 
         if kind not in seen:  # only once per kind
             seen.add(kind)
             yield from _options(item, responding=bool(own_responses))
+        elif kind == "output" and not outputs_only:
+            yield optional_line("scale_uncertainty", 1e-4, U_SCALE)
 
 
 def _shared_keys(items: Sequence[ChannelGuess]) -> dict[str, str]:
@@ -354,7 +358,7 @@ def _options(item: ChannelGuess, *, responding: bool) -> Iterator[str]:
         yield optional_line("transverse_sensitivity", 0.01, "relative")
         yield optional_line("head", "laser", "a head of rig.toml whose errors it shares")
     else:
-        yield optional_line("scale_uncertainty", 1e-4, "relative standard uncertainty (k = 1) of the scale")
+        yield optional_line("scale_uncertainty", 1e-4, U_SCALE)
     yield optional_line("common", "instrument", "channels with the same name are one instrument and share its errors")
     yield optional_line("individual_uncertainty", 1e-4, "relative, not shared")
     yield optional_line("delay_uncertainty", 1e-6, "s")

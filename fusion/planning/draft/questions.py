@@ -27,7 +27,7 @@ IMPORTANCE = (
     "centre_of_mass", "inertia", "normal", "stereo",
 )  # fmt: skip
 """Keys in the order in which they are asked for; uncertainties follow."""
-HELP = "An empty line leaves a value open. `2.4 ± 0.001` states the standard uncertainty as well."
+HELP = "An empty line leaves a value open. `2.4 ± 0.001` states the standard uncertainty (k = 1) as well."
 MATRICES = ("rotation", "inertia")  # keys of 3 x 3 numbers
 
 

@@ -93,9 +93,10 @@ LOW_CONTRAST = DeclaredNotice(
 PATTERN_COST = DeclaredNotice(
     "SC-850",
     "note",
-    "Speckle of contrast {contrast:.2f}: a fixed pattern of the sensor of {prnu_percent:.2g} % (PRNU) shortens motions "
-    "below 0.5 px by {shortening_percent:.2g} %, twice the pattern by four times as much.",
-    effect="Motions of 0.1 to 2 px show the size of the pattern, by which `run` corrects them.",
+    "Pixels that differ in sensitivity by {prnu_percent:.2g} % (PRNU) would make motions below 0.5 px appear "
+    "{shortening_percent:.2g} % too small, at the speckle contrast of {contrast:.2f}.",
+    effect="Pixels that differ twice as much have four times the effect. Motions of 0.1 to 2 px show the size of the "
+    "pattern, by which `run` corrects them.",
     remedy="For smaller motions record dark and flat images, or some images with the body displaced by 1 to 5 px.",
     link="tracking.md#fixed-pattern",
 )

@@ -16,6 +16,7 @@ from fusion.estimation.coverage import COVERAGE, Polar
 from fusion.sensitivity.load_phasors import BudgetEntry
 from fusion.sensor.certificate.certificate_form import Form
 from fusion.sensor.certificate.certificate_inputs import NumberList
+from fusion.sensor.certificate.certificate_traceability import TRACEABLE, CertificateShares
 from shakercal._common.notices import Notice
 
 Verdict = Literal["pass", "fail"]
@@ -31,7 +32,7 @@ SIMULATED = (
 )
 UNCERTAINTY = (
     f"U is the standard uncertainty times a coverage factor k for a probability of {100 * COVERAGE:g} %, after the GUM "
-    "(JCGM 100, JCGM 102). It is based on the stated uncertainties of all inputs and valid under the assumptions of "
+    "(JCGM 100, JCGM 102). It is based on the stated uncertainties of the inputs and valid under the assumptions of "
     "the evaluation: rigid bodies, linear instruments, loads only through the sensor. k is "
 )
 
@@ -137,6 +138,7 @@ class CertificateContent:
     acknowledged : the first notice of each acknowledged kind, and their number.
     not_assessed : influences not included in U, in plain words; sentences end with a full stop.
     versions : of the software that computed the results.
+    shares : of the variance of the value that depends most on inputs without a certificate.
     """
 
     title: str
@@ -147,6 +149,7 @@ class CertificateContent:
     acknowledged: tuple[tuple[Notice, int], ...] = ()
     not_assessed: tuple[str, ...]
     versions: dict[str, str]
+    shares: CertificateShares | None = None
 
     @property
     def is_matrix(self) -> bool:
@@ -196,10 +199,7 @@ class Certificate(CertificateContent):
         if self.elements and (capability.magnitude or capability.phase):
             sizes = f"{100 * capability.magnitude:g} % of the magnitude and {capability.phase:g} rad of the phase"
             yield "Capability", f"No U is stated below {sizes}."
-        yield (
-            "Traceability",
-            "The results are traceable to the SI through the certificates of the references and instruments listed.",
-        )
+        yield "Traceability", TRACEABLE if self.shares is None else self.shares.statement
         if administration.traceability:
             yield "Traceability", administration.traceability
         if self.elements and limit is not None:

@@ -27,6 +27,7 @@ from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, loa
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
+from fusion.report.tables import result_name
 from fusion.sensitivity.load_phasors import budget
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor import result_notices as declared
@@ -52,11 +53,11 @@ from fusion.sensor.certificate.certificate_inputs import (
 )
 from fusion.sensor.certificate.certificate_refusals import (
     calibration_days,
-    is_simulated,
     refusal_of,
     refusals,
     unacknowledged,
 )
+from fusion.sensor.certificate.certificate_traceability import MainValue, least_certified
 from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
 from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
@@ -113,7 +114,7 @@ def evaluate_certificate(
         stated = form or Form(format=1)
         if command is None:
             folders = [top] if is_single else [top / manifest.folder.name for manifest in manifests]
-            content = _sensitivities(folder.resolve().name, manifests, folders, top, stated)
+            content = _sensitivities(folder.resolve().name, manifests, folders, top, stated, form_path)
         else:
             content = _numbers(command, manifests, top, stated)
         problems += unacknowledged(content.warnings, form_path)
@@ -143,12 +144,12 @@ def _certificate(content: CertificateContent, form: Form, manifests: Sequence[Ma
         loads=_loads(manifests) if content.elements else (),
         down=tuple(dict.fromkeys(down)),
         centre_m=() if load is None else load.centre_of_mass,
-        specimen=any(is_simulated(manifest) for manifest in manifests),
+        specimen=any(manifest.simulated for manifest in manifests),
     )
 
 
 def _sensitivities(
-    name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form
+    name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form, form_path: Path
 ) -> CertificateContent:
     """Return the sensitivities of a campaign `name`, or of a recording, from results of `run`."""
     recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
@@ -168,7 +169,28 @@ def _sensitivities(
         elements=elements,
         **_split(notices, [*chain(*(entry.joint_notices for entry in recorded)), *evaluation.notices]),
         versions=recorded[0].origin.versions,
+        shares=least_certified(
+            _main_values(evaluation),
+            (row for entry in recorded for row in entry.evidence),
+            form.equipment,
+            form_path,
+        ),
     )
+
+
+def _main_values(evaluation: CampaignEvaluation) -> Iterator[MainValue]:
+    """Yield every main value, ratios only if there is nothing else."""
+    kinds = {curve.kind for curve in evaluation.curves}
+    kind = next((kind for kind in ("matrix", "element", "ratio") if kind in kinds), None)
+    for curve in (curve for curve in evaluation.curves if curve.kind == kind):
+        for e, (channel, component) in enumerate(curve.elements):
+            if channel != main_channel(evaluation, curve.channels, component):
+                continue
+            uncertainty = curve.uncertainty.at([e])
+            name = result_name(curve.kind, curve.channels[channel], LOAD_COMPONENTS[component], main=True)
+            for line in np.flatnonzero(np.isfinite(curve.value[:, e])).tolist():
+                frequency_hz = float(curve.frequency_hz[line])
+                yield name, frequency_hz, curve.value[[line]][:, [e]], uncertainty.at_lines([line])
 
 
 def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:

@@ -20,6 +20,7 @@ from fusion.recording.values import (
     array_of_tables,
     describe,
     refusal,
+    texts,
     vector,
 )
 from fusion.sensor import result_notices as declared
@@ -91,6 +92,7 @@ certificate = ""                        # number of its certificate
 laboratory = ""                         # which issued it
 # date = ""
 # valid_until = ""
+# inputs = ["load.mass"]                # keys of rig.toml and recording.toml that this certificate covers
 
 [[equipment]]
 use = "measuring"
@@ -235,6 +237,7 @@ class CertifiedEquipment(ManifestBlock):
     laboratory: PrintableText = ""
     date: Day = None
     valid_until: Day = None
+    inputs: Annotated[tuple[PrintableText, ...], BeforeValidator(texts)] = ()
 
 
 class CertificateAdministration(ManifestBlock):

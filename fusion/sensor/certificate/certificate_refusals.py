@@ -13,17 +13,8 @@ from fusion.sensor import result_notices as declared
 from fusion.sensor.certificate.certificate_form import Form
 from shakercal._common.notices import Notice
 
-TRUTH = "truth.json"
-"""File that the simulator writes next to recording.toml."""
-SIMULATED_NAME = ", simulated"
-"""End of the name of a simulated recording."""
 DRAFTED_SENSOR = "sensor under test"
 """Name that `shakercal init` gives a sensor of unknown name."""
-
-
-def is_simulated(manifest: Manifest) -> bool:
-    """Whether a recording was written by the simulator."""
-    return (manifest.folder / TRUTH).is_file() or manifest.name.endswith(SIMULATED_NAME)
 
 
 def refusals(form: Form | None, path: Path, manifests: Sequence[Manifest], *, specimen: bool) -> Iterator[InputError]:
@@ -32,7 +23,7 @@ def refusals(form: Form | None, path: Path, manifests: Sequence[Manifest], *, sp
     `form`: None if it cannot be read. `path`: of certificate.toml. `specimen`: whether simulated recordings are
     accepted.
     """
-    simulated = [manifest for manifest in manifests if is_simulated(manifest)]
+    simulated = [manifest for manifest in manifests if manifest.simulated]
     if simulated and not specimen:
         first, count = simulated[0], len(simulated)
         yield InputError(declared.SIMULATED_RECORDINGS, first.path, count=count, total=len(manifests))

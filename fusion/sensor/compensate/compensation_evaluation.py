@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion.base import CommandEvaluation
 from fusion.errors import InputError
+from fusion.estimation.coverage import coverage_factor
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor import model_notices as declared
@@ -52,7 +53,7 @@ from shaker.compensation.filter import (
     discretise,
     pad_sections,
 )
-from shaker.lti.indices import LABELS, find_figure_range, indices
+from shaker.lti.indices import LABELS, SETTLING, Indices, find_figure_range, indices, settling_interval
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel, figures_u
 from shakercal._common.arrays import FloatArray
@@ -461,6 +462,21 @@ def _filter(
     )
 
 
+def _settle_as_step(found: Indices, model: ModalModel, u: dict[str, float | None], dof: dict[str, float]) -> None:
+    """Replace u and degrees of freedom of the settling times, as `step` reports them.
+
+    They are those of `settling_interval`. Settling times are discontinuous: a slope over the discontinuity, times the k
+    of few degrees of freedom, has no meaning. An interval without the time, that of a model with fewer modes, is not
+    used.
+    """
+    of_damping = dof["damping_ratio"]
+    k = coverage_factor(of_damping)
+    for name, tolerance in SETTLING.items():
+        time, ends = found.figures()[name], settling_interval(model, tolerance, k)
+        if time is not None and ends is not None and ends[0] <= time <= ends[1]:
+            u[name], dof[name] = max(time - ends[0], ends[1] - time) / k, of_damping
+
+
 def _figures(design: Compensation, subject: CompensationSubject, mass: float | None, *, alone: bool) -> IndexEstimates:
     """Return the indices of the sensor, alone or with its filter.
 
@@ -494,4 +510,6 @@ def _figures(design: Compensation, subject: CompensationSubject, mass: float | N
         return IndexEstimates(found, dict.fromkeys(names), dict.fromkeys(names, np.inf))
     dof = dict(zip(names, subject.factors(spread, of_scatter)[0].tolist(), strict=True))
     u = {name: float(one) if np.isfinite(one) else None for name, one in zip(names, spread, strict=True)}
+    if alone and isinstance(model, ModalModel):
+        _settle_as_step(found, model, u, dof)
     return IndexEstimates(found, u, dof, tuple(seen.notices(names)))
