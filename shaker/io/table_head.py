@@ -386,10 +386,10 @@ def _no_head(path: Path, grids: Sequence[_SplitLines]) -> TableHead | None:
 def _named_by_unit(names: Sequence[str]) -> list[int]:
     """Return the columns of times that a unit names.
 
-    Such as `in s` for the first one, or `ms` for any.
+    Such as `in s` for the first one, or `ms` for any; capital letters such as `US` are a name.
     """
     bare = [name.removeprefix("in ") for name in names]
-    return [i for i, name in enumerate(bare) if time_unit(name) and (i == 0 or len(name) > 1)]
+    return [i for i, name in enumerate(bare) if name.islower() and time_unit(name) and (i == 0 or len(name) > 1)]
 
 
 def _rises(cells: Sequence[str], comma: bool) -> bool:

@@ -86,3 +86,9 @@ def test_dates_and_times_of_day(cells, seconds, first):
     found, start_s, _ = seconds_of_stamps(cells)
     np.testing.assert_allclose(found, seconds, atol=1e-12)
     assert start_s == first
+
+
+def test_a_name_in_capital_letters_is_no_unit_of_time(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t [s];S;US\n" + "".join(f"{i / 1000};{i % 7};{i % 5}\n" for i in range(50)), encoding="utf-8")
+    assert [(name, c.unit) for name, c in read_channels(path).items()] == [("S", ""), ("US", "")]
