@@ -73,5 +73,5 @@ def test_missing_points_are_left_out_by_the_polynomial_and_unresolved_by_the_run
 
 def test_a_ratio_that_never_rises_has_no_resolution_and_a_grid_beside_the_centre_row_is_refused(field):
     assert np.isnan(first_rise(np.array([10.0, 20.0]), np.array([0.95, 0.99])))
-    with pytest.raises(ValueError, match="expected some in the row 250"):
+    with pytest.raises(ValueError, match="250"):
         centre_row(Field(field.points + 1.0, field.shifts))

@@ -198,7 +198,7 @@ def test_a_first_frame_that_shows_no_body_is_refused_and_the_next_ones_are_used(
         for frame in frames_of(long_recording, 24):
             evaluation.add(replace(frame, number=frame.number + 8))
         assert evaluation.state().driven is not None
-        with pytest.raises(ValueError, match=r"frame\.number: expected more than 31, found 5"):
+        with pytest.raises(ValueError, match=r"frame\.number"):
             evaluation.add(replace(frame, number=5))
 
 

@@ -194,7 +194,7 @@ def is_recording_folder(folder: Path) -> bool:
 
 
 def recorder_folder(folder: Path) -> Path | None:
-    """Return the folder of the recorder's files of a recording whose images are in folders next to it.
+    """Return the folder of a recorder whose images are in folders next to it.
 
     It is the only one with such files, and has no images.
     """
