@@ -175,10 +175,10 @@ MANY_LINES = 6
 
 def curve_lines(evaluation: Evaluation) -> list[int]:
     """Return the indices of the driven lines with a value of the driven element."""
-    main, at = main_result(evaluation), (driven_channel(evaluation), driven_component(evaluation))
+    main = main_result(evaluation)
     if main is None:
         return []
-    found = main[0]
+    found, at = main[0], (driven_channel(evaluation), driven_component(evaluation))
     return [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(found.value[k, *at])]
 
 

@@ -28,7 +28,7 @@ _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\)|<([^<>]*)>|\
 _TIME_WITH_UNIT = re.compile(r"(t|time|zeit)[ _](s|sec|ms|us|ns)", re.IGNORECASE)
 _UNITS = re.compile(
     r"[mukµμ]?v|volts?|[mµμ]?v/v|[mkµμ]?a|[mkM]?n|newtons?|[mk]?n\W?m|[mcµμun]?m|[mµμun]?m/s|m/s(\^?2|²|\*\*2)|g|gn"
-    r"|[mµμun]?s|secs?|seconds?|sekunden?|min|°|°/s|deg|deg/s|rad|rad/s|m?bar|[kM]?pa|°?[ck]|k?hz|%|1|-|µm/m|um/m"
+    r"|[mµμun]?s|secs?|seconds?|sekunden?|min|°|°/s|m?deg|deg/s|[mµμun]?rad|[mµμun]?rad/s|m?bar|[kM]?pa|°?[ck]|k?hz|%|1|-|µm/m|um/m"
     r"|strain|pc|counts?|digits?|sequence",
     re.IGNORECASE,
 )
@@ -261,7 +261,7 @@ def _names_and_units(grid: _SplitLines, index: int) -> tuple[int, int] | None:
     if timed and timed[-1] < index:
         named = timed[-1]
         return named, next((i for i in stack[::-1] if i > named and grid.are_units(i)), named + 1)
-    with_units = any(split_unit(cell)[1] for cell in grid.cells(index))
+    with_units = any(split_unit(cell)[1] and not _is_unit(cell) for cell in grid.cells(index))
     only_names = not timed and index == 1 and grid.is_text(0) and not with_units
     return (index - 1, index) if len(stack) > 1 and (grid.are_units(index) or only_names) else None
 
@@ -307,10 +307,8 @@ def _head(path: Path, grid: _SplitLines, names: list[str], units: list[str], fir
     stripped = [cell.strip("[]()<>{} ") for cell in units] + [""] * len(names)
     own = [split_unit(name)[1] for name in names]
     made = [row or unit for row, unit in zip(stripped, own, strict=False)]
-    made = [
-        unit or (name if i in _named_by_unit(names) else "")
-        for i, (unit, name) in enumerate(zip(made, names, strict=True))
-    ]
+    for i in _named_by_unit(names):
+        made[i] = made[i] or names[i]
     made = [unit.removeprefix("in ") for unit in made]
     above = [line.text for line in grid.lines[:first]]
     for cells in (grid.cells(i) for i in range(first)):
