@@ -25,7 +25,7 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
-from shakercal._common.digits import number_text
+from shakercal._common.digits import number_text, quantity_text
 
 POLL_S = 0.05  # interval of the listing of the folders
 MIN_UPDATE_S, EVALUATION_SHARE = 1.0, 0.25  # between evaluations, and largest share of the time that they take
@@ -174,13 +174,13 @@ def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | 
         return None
     results = list(_final_results(evaluation))
     for name, value, U, unit in results:
-        output.line(f"  {name}: {number_text(value, 6)} {unit} ± {_percent(100 * U / value)} (95 %)", "result",
-                    name=name, value=value, U=U, unit=unit)  # fmt: skip
+        text = f"  {name}: {quantity_text(value, U, unit)}, U = {_percent(100 * U / value)}"
+        output.line(text, "result", name=name, value=value, U=U, unit=unit)
     warnings = sum(notice.severity == "warning" for notice in evaluation.notices)
     output.line(f"  {count_text(warnings, 'warning')}; shakercal run writes results and notices.", "warnings")
     percents = [100 * U / value for _, value, U, _ in results]
     if output.page is not None and percents:
-        lines = tuple(f"{name}: {number_text(value, 6)} {unit}" for name, value, _, unit in results)
+        lines = tuple(f"{name}: {quantity_text(value, U, unit)}" for name, value, U, unit in results)
         reached = options.until is None or max(percents) <= 100 * options.until
         output.page.show_live(LiveHeading(f"U {_percent(max(percents))}", lines, reached))
     return options.until is None or any(options.until * value >= U for _, value, U, _ in results[:1])
@@ -223,10 +223,9 @@ def describe_state(state: LiveState, until: float | None, counts: FrameCounts, b
     if value is None:
         parts.append(state.reason or "no acceleration along `excitation.direction`")
     else:
-        size = f"{number_text(value.amplitude, 5)} {value.unit} ± {_percent(value.U_percent)}"
-        parts.append(
-            f"{value.body} {value.component} {value.frequency_hz:.6g} Hz: {size} (preliminary, clocks not tied)"
-        )
+        size = quantity_text(value.amplitude, value.amplitude * value.U_percent / 100, value.unit)
+        place = f"{value.body} {value.component} {value.frequency_hz:.6g} Hz"
+        parts.append(f"{place}: {size}, U = {_percent(value.U_percent)} (preliminary, clocks not tied)")
         if until is not None:
             parts.append(_describe_aim(state, 100 * until))
     losses = [f"{count} {name}" for name, count in asdict(counts).items() if count]
