@@ -298,13 +298,17 @@ def _describe(side: str, files: IntArray, shift: IntArray) -> str:
     """
     parts = list[str]()
     if shift[0]:
-        late = "later" if shift[0] > 0 else "earlier"
-        parts.append(f"shows edges {_frames(int(shift[0]))} {late} than assumed from frame {files[0]} on")
+        parts.append(f"is {_frames(int(shift[0]))} {'ahead' if shift[0] > 0 else 'behind'} from frame {files[0]} on")
     jumps = np.diff(shift)
     for at in np.flatnonzero(jumps).tolist():
         event = "lost" if jumps[at] > 0 else "repeated"
-        parts.append(f"{event} {_frames(int(jumps[at]))} before frame {files[at + 1]}")
+        parts.append(f"{event} {_frames(int(jumps[at]))} before frame {files[at + 1]} ({_state(int(shift[at + 1]))})")
     return f"the {side} camera " + ", ".join(parts)
+
+
+def _state(shift: int) -> str:
+    """Return a shift of a camera's files, in words."""
+    return f"then {_frames(shift)} {'ahead' if shift > 0 else 'behind'}" if shift else "then in time"
 
 
 def _frames(count: int) -> str:
