@@ -142,7 +142,10 @@ def test_frames_lost_and_repeated_within_the_record_are_named_with_their_key(nam
 
 @pytest.mark.parametrize(
     ("change", "event"),
-    [(dropped(9, 2), "lost 2 frames before frame 9 (then 2 frames ahead)"), (repeated(7), "repeated 1 frame before frame 7 (then 1 frame behind)")],
+    [
+        (dropped(9, 2), "lost 2 frames before frame 9 (then 2 frames ahead)"),
+        (repeated(7), "repeated 1 frame before frame 7 (then 1 frame behind)"),
+    ],
 )
 def test_the_camera_and_what_its_recorder_did_are_named(change, event):
     assert checked(tracked({"right": change})).values["changes"] == f"the right camera {event}"
