@@ -39,6 +39,7 @@ from fusion.sensitivity.analyse import with_estimates
 from photogram.motion import Deformation, RigidMotion
 from shaker.io.channel import RawChannel
 from shaker.lines.frequencies import LineFrequencies
+from shaker.signal_notices import CONTRADICTORY_PERIOD
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import find_edges
@@ -171,9 +172,10 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
 class Found:
     """Errors and their standard uncertainties (6, 2): exposures in the middle (s) and their rate, the phase along z
     (rad), the tie in the middle (s), exposures as the bridge's clock has them, how far the output lags the motion of
-    all instruments (s)."""
+    all instruments (s); `contradicted`: whether a notice states that a period contradicts its edges."""
 
     errors: FloatArray
+    contradicted: bool
 
 
 def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequencies) -> Found:
@@ -203,7 +205,8 @@ def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequ
         (float(np.mean(late)) - float(tie.to_base_s(np.array(there))) + here, float(np.linalg.norm(apart))),
         output_lag(one, base, seen.reading, lines),
     )
-    return Found(np.array(pairs))
+    notices = (notice for fit in base.triggers.values() for notice in fit.notices)
+    return Found(np.array(pairs), any(notice.code == CONTRADICTORY_PERIOD.code for notice in notices))
 
 
 def output_lag(one: Simulated, base: TimeBase, pair: StereoReading, lines: LineFrequencies) -> tuple[float, float]:

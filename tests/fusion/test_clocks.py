@@ -195,4 +195,4 @@ def test_locked_clocks_err_as_they_state(name: str, benchmark: ModuleType) -> No
     assert inside.min() >= binom.ppf(1e-3 / 6, draws, 0.95)
     low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], draws) / draws)
     assert low < np.sqrt(np.mean((error[1] / u[1]) ** 2)) < high  # the rate, whose error is normal
-    assert not any(one.told for one in found)
+    assert not any(one.contradicted for one in found)
