@@ -290,7 +290,7 @@ def test_a_late_camera_of_a_pair_is_named(campaign):
     found = look(campaign / "Fz-0080")
     assert found.verdict == "CHECK", found.findings
     # Its first picture stands twice, so that the first frame is right and the second one a copy.
-    expected = r"right camera is 1 frame late from frame 1 on.* right = \[\[0, 0\], \[1, 0\]\]"
+    expected = r"right camera repeated 1 frame before frame 1.* right = \[\[0, 0\], \[1, 0\]\]"
     assert any(re.search(expected, finding.text) for finding in found.findings), found.findings
 
 
