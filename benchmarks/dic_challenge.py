@@ -40,10 +40,11 @@ from dic_metrics import (
     resolution_px,
     true_shift,
 )
-from dic_programs import NOT_INSTALLED, PROGRAMS, Grid
+from dic_programs import PROGRAMS, Grid
 from dic_stereo import CASES, Case, Surface, epipolar_px, our_surface
 from marked import markdown_table, write_marked
 from numpy.typing import NDArray
+from tracking_programs import NOT_INSTALLED
 
 STAR = "data/dic/challenge/DIC_Challenge_Star_Noise_{}.tiff"
 SIDES_PX, DETAILED_PX, BLOCK_PX = (11, 15, 19, 25, 31, 41), 19, 60.0

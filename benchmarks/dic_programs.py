@@ -11,20 +11,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tracking_programs import installed_version, lucas_kanade, read_frame, user_s
 
-NOT_INSTALLED = 3
 WARM_UP_COLUMNS = 10
 LARGEST_PX = 8  # displacement that a program has to search
 Array = NDArray[np.float64]
@@ -68,7 +64,7 @@ def shakercal(pair: Pair, grid: Grid, order: int) -> Found:
     from photogram.subsets.icgn import TrackSettings, noise_of_residual, position_covariance
     from photogram.subsets.reference import TrackStatus, prepare_reference
 
-    first, second = (_read(path) for path in pair)
+    first, second = (read_frame(path) for path in pair)
     settings = TrackSettings(radius_px=grid.radius, shape_order=order, reach_px=LARGEST_PX)
     reference = prepare_reference(spline_of_image(first), grid.centres, grid.radius, order)
     found = find_without_prediction(reference, first, (second, spline_of_image(second)), settings)
@@ -89,7 +85,7 @@ def pyvale(pair: Pair, grid: Grid, shape: str, filter_px: int) -> Found:
     from pyvale import dic
 
     cut_x, cut_y = ((ends[0] - grid.radius) % grid.step for ends in (grid.columns, grid.rows))
-    first, second = (np.ascontiguousarray(_read(path)[cut_y:, cut_x:]) for path in pair)
+    first, second = (np.ascontiguousarray(read_frame(path)[cut_y:, cut_x:]) for path in pair)
     mask = np.zeros(first.shape, dtype=bool)
     (left, right), (top, bottom) = grid.columns, grid.rows
     reach = grid.radius + 1
@@ -117,15 +113,7 @@ def pyvale(pair: Pair, grid: Grid, shape: str, filter_px: int) -> Found:
 
 def pyidi(pair: Pair, grid: Grid) -> Found:
     """The Lucas–Kanade method of pyidi: translation only."""
-    from pyidi import LucasKanade, VideoReader
-
-    with tempfile.TemporaryDirectory() as folder:
-        video = VideoReader(np.stack([_read(frame) for frame in pair]), root=folder)
-        method = LucasKanade(video)
-        method.configure(roi_size=(2 * grid.radius + 1,) * 2, pad=4, verbose=0, show_pbar=False)
-        method.set_points(grid.centres[:, ::-1].astype(np.int64))
-        moved = method.get_displacements(autosave=False)
-    return Found(grid.centres, np.asarray(moved[:, 1, ::-1], dtype=np.float64))
+    return Found(grid.centres, lucas_kanade(pair, grid.centres, grid.radius)[1])
 
 
 def al_dic(pair: Pair, grid: Grid, whole: bool) -> Found:
@@ -133,7 +121,7 @@ def al_dic(pair: Pair, grid: Grid, whole: bool) -> Found:
     from al_dic import dicpara_default, run_aldic
     from al_dic.core.data_structures import GridxyROIRange
 
-    images = [_read(frame) / 255.0 for frame in pair]
+    images = [read_frame(frame) / 255.0 for frame in pair]
     settings = dicpara_default(
         winsize=2 * grid.radius,
         winstepsize=grid.step,
@@ -166,21 +154,6 @@ PROGRAMS: dict[str, tuple[str, Run]] = {
 }
 
 
-def _read(frame: Path) -> NDArray[Any]:
-    """Return one image as it is stored."""
-    import cv2
-
-    image = cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError(f"{frame}: not a readable image")
-    return image
-
-
-def _user_s() -> float:
-    """Return the user CPU time of this process and its finished children, in s."""
-    return sum(resource.getrusage(who).ru_utime for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-
-
 def main() -> None:
     """Track one pair with one program."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -194,23 +167,19 @@ def main() -> None:
     options = parser.parse_args()
     grid = Grid(tuple(options.columns), tuple(options.rows), options.step, options.radius)
     package, track = PROGRAMS[options.program]
-    try:
-        found_version = version(package)
-    except PackageNotFoundError as error:
-        print(error, file=sys.stderr)
-        sys.exit(NOT_INSTALLED)
+    found_version = installed_version(package)
     pair = (options.reference, options.deformed)
     track(pair, grid.last_columns)
-    user_s = _user_s()
+    cpu_s = user_s()
     found = track(pair, grid)
-    user_s = _user_s() - user_s
+    cpu_s = user_s() - cpu_s
     u_px = np.full_like(found.shifts, np.nan) if found.u_px is None else found.u_px
     np.savez(
         options.result,
         points=found.centres,
         shifts=found.shifts,
         u_px=u_px,
-        user_s=user_s,
+        user_s=cpu_s,
         version=found_version,
     )
 

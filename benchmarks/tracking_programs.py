@@ -15,7 +15,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -72,7 +72,7 @@ def pyvale(frames: list[Path], grid: Grid, filter_px: int) -> Found:
     """The subset correlation of pyvale: affine, cubic B-spline; `filter_px`: kernel of its image filter, 1 for none."""
     from pyvale import dic
 
-    mask = np.zeros(_read(frames[0]).shape, dtype=bool)
+    mask = np.zeros(read_frame(frames[0]).shape, dtype=bool)
     inside = slice(grid.first - grid.radius, grid.last + grid.radius + 1)
     mask[inside, inside] = True
     with tempfile.TemporaryDirectory() as folder:
@@ -97,16 +97,21 @@ def pyvale(frames: list[Path], grid: Grid, filter_px: int) -> Found:
 
 
 def pyidi(frames: list[Path], grid: Grid) -> Found:
-    """The Lucas–Kanade method of pyidi: translation only; a margin of 4 px, since a frame moves by up to 2 px."""
+    """The Lucas–Kanade method of pyidi: translation only."""
+    return Found(grid.centres, grid.centres + lucas_kanade(frames, grid.centres, grid.radius))
+
+
+def lucas_kanade(frames: Sequence[Path], centres: Array, radius: int) -> Array:
+    """Return pyidi's displacements (F,N,2) in px; a margin of 4 px, since a frame moves by up to 2 px."""
     from pyidi import LucasKanade, VideoReader
 
     with tempfile.TemporaryDirectory() as folder:
-        video = VideoReader(np.stack([_read(frame) for frame in frames]), root=folder)
+        video = VideoReader(np.stack([read_frame(frame) for frame in frames]), root=folder)
         method = LucasKanade(video)
-        method.configure(roi_size=(2 * grid.radius + 1,) * 2, pad=4, verbose=0, show_pbar=False)
-        method.set_points(grid.centres[:, ::-1].astype(np.int64))
+        method.configure(roi_size=(2 * radius + 1,) * 2, pad=4, verbose=0, show_pbar=False)
+        method.set_points(centres[:, ::-1].astype(np.int64))
         moved = method.get_displacements(autosave=False)
-    return Found(grid.centres, grid.centres + np.swapaxes(moved[:, :, ::-1], 0, 1))
+    return np.asarray(np.swapaxes(moved[:, :, ::-1], 0, 1), dtype=np.float64)
 
 
 def al_dic(frames: list[Path], grid: Grid) -> Found:
@@ -114,7 +119,7 @@ def al_dic(frames: list[Path], grid: Grid) -> Found:
     from al_dic import dicpara_default, run_aldic
     from al_dic.core.data_structures import GridxyROIRange
 
-    images = [_read(frame) / 255.0 for frame in frames]
+    images = [read_frame(frame) / 255.0 for frame in frames]
     edge = (grid.first, grid.last)
     settings = dicpara_default(
         winsize=2 * grid.radius,
@@ -144,7 +149,7 @@ PROGRAMS: dict[str, tuple[str, Callable[[list[Path], Grid], Found]]] = {
 }
 
 
-def _read(frame: Path) -> np.ndarray[Any, Any]:
+def read_frame(frame: Path) -> np.ndarray[Any, Any]:
     """Return one image as it is stored."""
     import cv2
 
@@ -160,9 +165,18 @@ def _with_first(centres: Array, moved: Array) -> Array:
     return centres + displacements
 
 
-def _user_s() -> float:
+def user_s() -> float:
     """Return the user CPU time of this process and its finished children, in s."""
     return sum(resource.getrusage(who).ru_utime for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def installed_version(package: str) -> str:
+    """Return the version of a package, or exit with the status `NOT_INSTALLED`."""
+    try:
+        return version(package)
+    except PackageNotFoundError as error:
+        print(error, file=sys.stderr)
+        sys.exit(NOT_INSTALLED)
 
 
 def main() -> None:
@@ -177,21 +191,17 @@ def main() -> None:
     grid = Grid(options.first, options.step, options.count, options.radius)
     frames = sorted(options.folder.glob("*.tif"))
     package, track = PROGRAMS[options.program]
-    try:
-        found_version = version(package)
-    except PackageNotFoundError as error:
-        print(error, file=sys.stderr)
-        sys.exit(NOT_INSTALLED)
+    found_version = installed_version(package)
     track(frames[:WARM_UP_FRAMES], grid)
-    wall_s, user_s = time.perf_counter(), _user_s()
+    wall_s, cpu_s = time.perf_counter(), user_s()
     found = track(frames, grid)
-    wall_s, user_s = time.perf_counter() - wall_s, _user_s() - user_s
+    wall_s, cpu_s = time.perf_counter() - wall_s, user_s() - cpu_s
     np.savez(
         options.result,
         centres=found.centres,
         positions=found.positions,
         wall_s=wall_s,
-        user_s=user_s,
+        user_s=cpu_s,
         version=found_version,
     )
 
