@@ -104,7 +104,7 @@ def mass_line() -> Figure:
     axes.annotate(
         f"−m$_i$ = −{mass:.3f} kg",
         (-mass, 0.0),
-        (-1.1, 5.0),
+        (0.15, 9.0),
         fontsize=8,
         color=GREEN,
         arrowprops={"arrowstyle": "-", "color": GREEN, "linewidth": 0.6},
@@ -126,8 +126,8 @@ def damping_laws() -> Figure:
     left.plot(x, x + loss * v, color=BLUE, label="damper")
     left.plot(x, x + loss * v, color=ORANGE, linestyle=(0, (4, 3)), label="loss factor")
     left.plot(x, x + 0.25 * np.sign(v), color=GREEN, label="dry friction")
-    left.set(xlabel="deflection", ylabel="force", title="One frequency", ylim=(-1.3, 1.75))
-    left.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
+    left.set(xlabel="deflection / amplitude", ylabel="force / (k × amplitude)", title="One frequency")
+    left.set(ylim=(-1.3, 1.75), xticks=[-1, 0, 1], yticks=[-1, 0, 1])
     left.legend(fontsize=7.5, loc="upper left")
     ratio = np.linspace(0.2, 3.0, 100)
     middle.plot(ratio, loss * ratio, color=BLUE)
