@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
-from numpy.typing import NDArray
-from style import BLUE, GREEN, GREY, ORANGE, RC, RED, Figure, new_figure
+from matplotlib.patches import Circle, Polygon, Rectangle
+from style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    Figure,
+    FloatArray,
+    arrow,
+    blank,
+    camera_shape,
+    marked_table,
+    new_figure,
+)
 
 from fusion.planning.camera_setup import CameraSetup, estimate_setup
 from photogram.calibration.session import calibrate_pair
@@ -20,44 +30,13 @@ from photogram.synthetic.board import render_board, simulate_session
 from photogram.synthetic.patterns import Board
 from photogram.targets.target_view import Target
 
-FloatArray = NDArray[np.float64]
-DOCS = Path(__file__).resolve().parents[1]
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def _table(page: str, name: str) -> list[list[str]]:
-    """Return the cells of a marked table that a benchmark writes."""
-    text = (DOCS / page).read_text(encoding="utf-8")
-    (content,) = re.findall(f"<!-- {name} -->\n(.*?)<!-- end of {name} -->", text, re.DOTALL)
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in content.splitlines()[2:]]
-
-
-def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float], colour: str, style: str = "-|>") -> None:
-    axes.add_patch(FancyArrowPatch(start, end, arrowstyle=style, mutation_scale=11, color=colour, shrinkA=0, shrinkB=0))
-
-
-def _blank(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    axes.set(xlim=x, ylim=y, aspect="equal")
-    axes.axis("off")
-
-
-def _camera_shape(axes: Any, place: FloatArray, towards: FloatArray, name: str = "", size: float = 1.0) -> None:
-    """Draw a camera from above: its body and its lens."""
-    along = (towards - place) / np.linalg.norm(towards - place)
-    across = np.array([-along[1], along[0]])
-    body = [place + size * (a * along + b * across) for a, b in ((-1.6, -0.7), (0, -0.7), (0, 0.7), (-1.6, 0.7))]
-    lens = [place + size * (a * along + b * across) for a, b in ((0, -0.35), (0.6, -0.5), (0.6, 0.5), (0, 0.35))]
-    for shape in (body, lens):
-        axes.add_patch(Polygon(shape, facecolor="#dbe4ee", edgecolor=BLUE, linewidth=1.3))
-    if name:
-        axes.text(*(place - 2.5 * size * along), name, ha="center", va="center", fontsize=8, color=BLUE)
-
-
-@mpl.rc_context(RC)
 def stereo_geometry() -> Figure:
     """Draw a pair from above, and what its angle does to the noise, by `shakercal plan --setup`."""
     figure, (scene, chart) = new_figure(3.0, 1, 2, width_ratios=[1.0, 1.25])
-    _blank(scene, (-7.5, 7.5), (-1.5, 15))
+    blank(scene, (-7.5, 7.5), (-1.5, 15))
     half, distance = np.radians(17.0), 10.0
     scene.add_patch(Rectangle((-2.5, -0.5), 5, 0.5, facecolor="#e5e7eb", edgecolor=GREY))
     scene.text(0, -1.2, "speckled face", ha="center", fontsize=8)
@@ -66,14 +45,16 @@ def stereo_geometry() -> Figure:
         scene.plot([0, place[0]], [0, place[1]], color=BLUE, linewidth=0.9, linestyle="--")
         for edge in (-2.5, 2.5):
             scene.plot([edge, place[0]], [0, place[1]], color=GREY, linewidth=0.6)
-        _camera_shape(scene, place, np.zeros(2), name)
+        camera_shape(scene, place, np.zeros(2))
+        scene.text(*(place * (1.0 + 2.5 / distance)), name, ha="center", va="center", fontsize=8, color=BLUE)
     turn = np.linspace(-half, half, 30)
     scene.plot(5 * np.sin(turn), 5 * np.cos(turn), color=RED)
-    scene.text(0, 5.3, "angle α", ha="center", color=RED, fontsize=8)
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+    scene.text(0, 5.5, "angle α", ha="center", color=RED, fontsize=8, bbox=behind)
     end = distance * np.sin(half)
-    _arrow(scene, (-end, 13.2), (end, 13.2), GREEN, "<|-|>")
+    arrow(scene, (-end, 13.2), (end, 13.2), GREEN, "<|-|>")
     scene.text(0, 13.6, "baseline 2·Z·tan(α/2)", ha="center", color=GREEN, fontsize=8)
-    _arrow(scene, (6.2, 0), (6.2, distance * np.cos(half)), ORANGE, "<|-|>")
+    arrow(scene, (6.2, 0), (6.2, distance * np.cos(half)), ORANGE, "<|-|>")
     scene.text(6.4, 4.6, "distance Z", rotation=90, va="center", color=ORANGE, fontsize=8)
     angles = np.arange(6.0, 91.0, 2.0)
     sheet: dict[str, Any] = {"format": 1, "pixel": 3.45e-6, "image": [2448, 2048], "focal_length": 50e-3}
@@ -92,7 +73,6 @@ def stereo_geometry() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def target_kinds() -> Figure:
     """Draw the kinds of targets, rendered."""
     figure, axes = new_figure(3.1, 2, 3)
@@ -137,7 +117,6 @@ PLACES = (
 """Of the target in a good session: x and y in half widths of the covered area, z in m from the working distance."""
 
 
-@mpl.rc_context(RC)
 def target_poses() -> Figure:
     """Draw the outlines of a target in the left image, of a good and a poor session, with what each determines."""
     board = Board(Target("chessboard", 9e-3, (10, 7)))
@@ -181,12 +160,10 @@ def target_poses() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def frames_of_edges() -> Figure:
     """Draw which edge of the trigger each file shows where the right camera lost one frame."""
     figure, axes = new_figure(2.2)
-    axes.set(xlim=(-2.6, 12.5), ylim=(-0.7, 3.6), yticks=[], xticks=[])
-    axes.axis("off")
+    blank(axes, (-2.6, 12.5), (-0.7, 3.6), "auto")
     edges = np.arange(12)
     for edge in edges:
         axes.plot(
@@ -208,7 +185,6 @@ def frames_of_edges() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def alignment_evidence() -> Figure:
     """Draw four kinds of evidence about the pose of a camera in the sensor frame."""
     figure, axes = new_figure(2.5, 1, 4)
@@ -220,9 +196,9 @@ def alignment_evidence() -> Figure:
         "two angles and the\nplace across the axis",
     )
     for axis, title, note in zip(axes, titles, notes, strict=True):
-        _blank(axis, (-4.2, 4.2), (-5.6, 6.4))
+        blank(axis, (-4.2, 4.2), (-5.6, 6.4))
         axis.set_title(title)
-        _camera_shape(axis, np.array([0.0, 4.4]), np.zeros(2), size=0.9)
+        camera_shape(axis, np.array([0.0, 4.4]), np.zeros(2), size=0.9)
         axis.add_patch(
             Polygon([[-2.6, -2.8], [2.0, -2.8], [2.0, 0.2], [-2.6, 0.2]], facecolor="#eef1f4", edgecolor=GREY)
         )
@@ -233,13 +209,13 @@ def alignment_evidence() -> Figure:
         axes[0].add_patch(Circle((x, y), 0.24, color=RED))
         axes[0].plot([x, 0], [y, 3.9], color=RED, linewidth=0.7, linestyle=":")
     for start, end in (((0.3, 0.7), (0.3, 2.6)), ((2.6, -0.8), (4.0, -0.3)), ((-0.4, -1.3), (-1.4, -3.0))):
-        _arrow(axes[1], start, end, RED)
-    _arrow(axes[2], (-0.3, -2.2), (-0.3, 1.9), RED, "<|-|>")
-    _arrow(axes[2], (-2.0, -1.0), (1.6, -1.0), ORANGE, "<|-|>")
+        arrow(axes[1], start, end, RED)
+    arrow(axes[2], (-0.3, -2.2), (-0.3, 1.9), RED, "<|-|>")
+    arrow(axes[2], (-2.0, -1.0), (1.6, -1.0), ORANGE, "<|-|>")
     axes[3].plot([0.3, 0.3], [-3.2, 2.6], color=RED, linestyle="-.")
     turn = np.linspace(0.2 * np.pi, 1.85 * np.pi, 50)
     axes[3].plot(0.3 + 1.5 * np.cos(turn), 1.7 + 0.45 * np.sin(turn), color=RED)
-    _arrow(axes[3], (1.45, 1.42), (1.75, 1.62), RED)
+    arrow(axes[3], (1.45, 1.42), (1.75, 1.62), RED)
     return figure
 
 
@@ -254,7 +230,6 @@ def _face_camera() -> tuple[Camera, FloatArray]:
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.012}
 
 
-@mpl.rc_context(RC)
 def single_camera_motions() -> Figure:
     """Draw how the points of a face move in the image by each of the six components, with equal motion of the rim."""
     camera, points = _face_camera()
@@ -272,17 +247,15 @@ def single_camera_motions() -> Figure:
         colour, scale = (GREEN, 0.12) if well else (RED, 0.012)
         axis.quiver(*before.T, *shift.T, color=colour, scale=scale, **QUIVER)
         axis.add_patch(Circle((511.5, 511.5), 390, fill=False, color=GREY, linewidth=0.8))
-        axis.set(xlim=(60, 970), ylim=(970, 60), aspect="equal")
-        axis.axis("off")
+        blank(axis, (60, 970), (970, 60))
         note = "" if well else "\n(arrows × 10)"
         axis.set_title(f"{name}: {rms:.2g} px rms{note}", color=GREEN if well else RED, loc="center")
     return figure
 
 
-@mpl.rc_context(RC)
 def camera_arrangements() -> Figure:
     """Draw the bounds of the arrangements of cameras in the table of docs/cameras-per-body.md."""
-    rows = _table("cameras-per-body.md", "arrangements")
+    rows = marked_table("cameras-per-body.md", "arrangements")
     figure, axes = new_figure(2.7, 1, 2)
     colours = (RED, BLUE, ORANGE, GREEN, GREY)
     for axis, first, unit, scale in ((axes[0], 1, "µm", 1e-3), (axes[1], 4, "µrad", 1.0)):
@@ -299,12 +272,11 @@ def camera_arrangements() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def stationary_surface() -> Figure:
     """Draw the view of a camera with a stationary surface, and how its motion is removed from the body's."""
     figure, (view, sketch) = new_figure(2.7, 1, 2, width_ratios=[1.1, 1.0])
     rng = np.random.default_rng(4)
-    _blank(view, (0, 304), (240, 0))
+    blank(view, (0, 304), (240, 0))
     view.add_patch(Rectangle((0, 0), 304, 240, facecolor="#374151"))
     areas = {
         "body": (76, 45, 155, 149, "#dbe4ee"),
@@ -320,13 +292,13 @@ def stationary_surface() -> Figure:
     view.text(153, 36, "region of the body, mask of the room", color="white", ha="center", va="bottom", fontsize=7.5)
     view.text(153, 232, "region of the room", color=ORANGE, ha="center", va="bottom", fontsize=8)
     view.set_title("one image, two regions")
-    _blank(sketch, (-8, 8.5), (-6.6, 7.2))
+    blank(sketch, (-8, 8.5), (-6.6, 7.2))
     sketch.set_title("what each region shows")
-    _camera_shape(sketch, np.array([-5.0, 4.6]), np.array([0.0, -2.0]), size=1.0)
-    _arrow(sketch, (-7.6, 2.2), (-4.2, 2.2), RED, "<|-|>")
+    camera_shape(sketch, np.array([-5.0, 4.6]), np.array([0.0, -2.0]))
+    arrow(sketch, (-7.6, 2.2), (-4.2, 2.2), RED, "<|-|>")
     sketch.text(-5.9, 1.2, "H", color=RED, ha="center", va="center")
     sketch.add_patch(Rectangle((-2, -4.4), 4, 2.6, facecolor="#dbe4ee", edgecolor=BLUE))
-    _arrow(sketch, (-2.4, -5.2), (2.4, -5.2), BLUE, "<|-|>")
+    arrow(sketch, (-2.4, -5.2), (2.4, -5.2), BLUE, "<|-|>")
     sketch.text(0, -6.1, "A", color=BLUE, ha="center", va="center")
     sketch.add_patch(Rectangle((4.4, -4.4), 2.4, 2.6, facecolor="#fde7d3", edgecolor=ORANGE))
     sketch.text(5.6, -5.3, "at rest", color=ORANGE, ha="center", va="center", fontsize=8)
@@ -338,12 +310,11 @@ def stationary_surface() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def support_shake() -> Figure:
     """Draw the errors with and without a stationary surface of the table in docs/room.md."""
     figure, axes = new_figure(2.6)
     shares, before, after, stated = [], [], [], []
-    for row in _table("room.md", "shaken room"):
+    for row in marked_table("room.md", "shaken room"):
         match = re.fullmatch(r"cameras, ([\d.]+)", row[0])
         if match:
             shares.append(100.0 * float(match[1]))

@@ -4,42 +4,14 @@ from __future__ import annotations
 
 import ast
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Rectangle
-from style import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from matplotlib.patches import Rectangle
+from style import BLUE, GREEN, GREY, ORANGE, RED, ROOT, blank, flow_arrow, flow_box, marked_table, new_figure
 
-ROOT = Path(__file__).resolve().parents[2]
 COLOURS = {"photogram": BLUE, "shaker": GREEN, "fusion": ORANGE, "shakercal": GREY}
-
-
-def _title(axes: Any, text: str) -> None:
-    """Write the title of a part."""
-    axes.set_title(text, loc="left", fontsize=9.0, fontweight="bold")
-
-
-def _box(axes: Any, place: tuple[float, float], size: tuple[float, float], colour: str) -> None:
-    """Draw a rounded box about its middle."""
-    (x, y), (width, height) = place, size
-    shape = "round,pad=0,rounding_size=0.06"
-    corner = (x - width / 2.0, y - height / 2.0)
-    axes.add_patch(FancyBboxPatch(corner, width, height, boxstyle=shape, facecolor=f"{colour}18", edgecolor=colour))
-
-
-def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """Draw an arrow."""
-    axes.annotate("", xy=end, xytext=start, arrowprops={"arrowstyle": "-|>", "color": GREY, "linewidth": 1.2})
-
-
-def _blank(height_in: float, width: float, height: float) -> tuple[Figure, Any]:
-    """Return a figure without axes, in units of its drawing."""
-    figure, axes = new_figure(height_in)
-    axes.set(xlim=(0.0, width), ylim=(0.0, height))
-    axes.set_axis_off()
-    return figure, axes
 
 
 FLOW: tuple[tuple[tuple[float, float], str, str, str], ...] = (
@@ -61,20 +33,22 @@ ARROWS = ((0, 1), (1, 2), (3, 4), (4, 5), (2, 6), (5, 6), (6, 7), (7, 8), (8, 9)
 
 def data_flow() -> Figure:
     """Show the steps from images and channels to the sensitivity."""
-    figure, axes = _blank(3.2, 7.7, 4.15)
+    figure, axes = new_figure(3.2)
+    blank(axes, (0.0, 7.7), (0.0, 4.15), "auto")
     half_width, half_height = 0.82, 0.45
     for place, text, module, package in FLOW:
-        _box(axes, place, (2.0 * half_width, 2.0 * half_height), COLOURS[package])
+        corner = place[0] - half_width, place[1] - half_height
+        flow_box(axes, corner, (2.0 * half_width, 2.0 * half_height), "", COLOURS[package])
         axes.text(place[0], place[1] + 0.1, text, ha="center", va="center", fontsize=8.5)
         axes.text(place[0], place[1] - 0.33, module, ha="center", va="center", fontsize=6.5, color=COLOURS[package])
     for begin, end in ARROWS:
         (x0, y0), (x1, y1) = FLOW[begin][0], FLOW[end][0]
         if x0 == x1:
-            _arrow(axes, (x0, y0 - half_height), (x1, y1 + half_height))
+            flow_arrow(axes, (x0, y0 - half_height), (x1, y1 + half_height))
         else:
             side = half_width if x1 > x0 else -half_width
-            _arrow(axes, (x0 + side, y0), (x1 - side, y1))
-    _title(axes, "From images and channels to the sensitivity: every step and its package")
+            flow_arrow(axes, (x0 + side, y0), (x1 - side, y1))
+    axes.set_title("From images and channels to the sensitivity: every step and its package")
     return figure
 
 
@@ -87,24 +61,23 @@ def layers() -> Figure:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "LAYERS"
     )
     of = ast.literal_eval(value)
-    figure, axes = _blank(4.6, 10.0, 19.6)
+    figure, axes = new_figure(4.6)
+    blank(axes, (0.0, 10.0), (0.0, 19.6), "auto")
 
     def column(package: str, middle: float, width: float, bottom: float) -> None:
         for place, entries in enumerate(of[package]):
-            y = bottom + 0.86 * place
-            _box(axes, (middle, y), (width, 0.74), COLOURS[package])
-            axes.text(middle, y, ", ".join(entries.split()), ha="center", va="center", fontsize=7.5)
+            corner = middle - width / 2.0, bottom + 0.86 * place - 0.37
+            flow_box(axes, corner, (width, 0.74), ", ".join(entries.split()), COLOURS[package])
 
     axes.text(5.0, 0.25, "shakercal._common", ha="center", fontsize=8.5, color=GREY, weight="bold")
-    _box(axes, (5.0, 1.45), (9.6, 0.9), GREY)
-    common = "arrays, digits, fitting, kernels, mat5, notices, propagation, version"
-    axes.text(5.0, 1.45, common, ha="center", va="center", fontsize=7.5)
+    common = sorted(path.stem for path in (ROOT / "shakercal" / "_common").glob("*.py") if path.stem != "__init__")
+    flow_box(axes, (0.2, 1.0), (9.6, 0.9), ", ".join(common), GREY)
     column("photogram", 2.5, 4.6, 3.2)
     column("shaker", 7.5, 4.6, 3.2)
     column("fusion", 5.0, 9.6, 9.4)
     for package, x, y in (("photogram", 2.5, 2.25), ("shaker", 7.5, 2.25), ("fusion", 5.0, 8.45)):
         axes.text(x, y, package, ha="center", fontsize=8.5, color=COLOURS[package], weight="bold")
-    _title(axes, "Layers: a row imports from its row and from the rows below it")
+    axes.set_title("Layers: a row imports from its row and from the rows below it")
     return figure
 
 
@@ -125,7 +98,7 @@ def one_recording() -> Figure:
         )
     image.set(xlim=(110.0, 210.0), ylim=(160.0, 80.0))
     image.set_axis_off()
-    _title(image, f"1  Part of an image, {len(top.subsets_px)} subsets in all")
+    image.set_title(f"1  Part of an image, {len(top.subsets_px)} subsets in all")
     turns = top.time_s * evaluation.lines.frequency_hz[0]
     z_m = top.motion_from_mean.pose[:, 2]
     motion.plot(turns % 1.0, 1e6 * z_m, "o", markersize=3.5, color=BLUE)
@@ -133,14 +106,14 @@ def one_recording() -> Figure:
     of_lines = np.exp(2j * np.pi * np.outer(fine, evaluation.lines.multiple)) @ top.fit.phasors.value[:, 2]
     motion.plot(fine, 1e6 * of_lines.real, linewidth=1.0, color=GREY)
     motion.set(xlabel="phase of the driven line / periods", ylabel="z of the load / µm")
-    _title(motion, f"2  Motion in {len(z_m)} frames, with the fit")
+    motion.set_title(f"2  Motion in {len(z_m)} frames, with the fit")
     true = complex(truth["acceleration"]["load"]["re"][0][2], truth["acceleration"]["load"]["im"][0][2])
     for colour, moved in zip((RED, BLUE, GREEN), evaluation.accelerations[:3], strict=True):
         _region(acceleration, moved.polar[0][2], true, 1.0, colour, moved.source)
     acceleration.set(xlabel="error of the real part / (m/s²)", ylabel="of the imaginary part / (m/s²)")
     acceleration.legend(fontsize=7.5, loc="upper left", frameon=False)
     acceleration.set_ylim(None, 0.2)
-    _title(acceleration, f"3  Acceleration along z ({abs(true):.1f} m/s²)")
+    acceleration.set_title(f"3  Acceleration along z ({abs(true):.1f} m/s²)")
     true = complex(truth["sensitivity"]["re"][0][2][2], truth["sensitivity"]["im"][0][2][2])
     element = evaluation.element
     _region(
@@ -154,7 +127,7 @@ def one_recording() -> Figure:
     sensitivity.set(xlabel="error of the real part / %", ylabel="of the imaginary part / %")
     sensitivity.set_ylim(None, 0.4)
     sensitivity.legend(fontsize=7.5, loc="upper left", frameon=False)
-    _title(sensitivity, "4  Sensitivity")
+    sensitivity.set_title("4  Sensitivity")
     return figure
 
 
@@ -175,7 +148,7 @@ def _region(axes: Any, found: Any, true: complex, scale: float, colour: str, nam
 
 def time_over_frames() -> Figure:
     """Show the CPU time and the memory of a run over its number of frames."""
-    rows = np.array([[float(cell) for cell in row] for row in _table("growth")])
+    rows = np.array([[float(cell) for cell in row] for row in marked_table("performance.md", "growth")])
     _, images, cpu_s, _, peak_mb = rows.T
     figure, (time, memory) = new_figure(2.6, 1, 2)
     slope, start = np.polyfit(images, cpu_s, 1)
@@ -183,16 +156,16 @@ def time_over_frames() -> Figure:
     time.plot([0.0, images[-1]], [start, start + slope * images[-1]], color=BLUE, linewidth=1.0)
     time.text(0.05, 0.9, f"{start:.1f} s + {1e3 * slope:.0f} ms per image", transform=time.transAxes)
     time.set(xlabel="images", ylabel="CPU time / s", xlim=(0.0, None), ylim=(0.0, None))
-    _title(time, "Time: a constant and a share of each image")
+    time.set_title("Time: a constant and a share of each image")
     memory.plot(images, peak_mb, "o-", color=ORANGE)
     memory.set(xlabel="images", ylabel="peak memory / MB", xlim=(0.0, None), ylim=(0.0, 1.2 * peak_mb.max()))
-    _title(memory, "Memory hardly grows")
+    memory.set_title("Memory hardly grows")
     return figure
 
 
 def time_by_stage() -> Figure:
     """Show the share of each stage in the CPU time of a run."""
-    names, _, shares = zip(*_table("stages"), strict=True)
+    names, _, shares = zip(*marked_table("performance.md", "stages"), strict=True)
     share = np.array([float(one) for one in shares])
     figure, axes = new_figure(3.2)
     place = np.arange(len(names))[::-1]
@@ -201,15 +174,8 @@ def time_by_stage() -> Figure:
     for y, one in zip(place, share, strict=True):
         axes.text(one + 0.4, y, f"{one:.0f} %", va="center", fontsize=8.0)
     axes.set(xlabel="share of the CPU time / %", xlim=(0.0, 1.15 * share.max()))
-    _title(axes, "Most of the time is spent on the images")
+    axes.set_title("Most of the time is spent on the images")
     return figure
-
-
-def _table(name: str) -> list[list[str]]:
-    """Return the cells of a table of performance.md, row by row."""
-    page = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    rows = page.partition(f"<!-- {name} -->\n")[2].partition(f"<!-- end of {name} -->")[0].strip().splitlines()[2:]
-    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
 
 
 DRAWINGS = (data_flow, layers, one_recording, time_over_frames, time_by_stage)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from mechanics import BLACK
-from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
+from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, blank, new_figure
 
 from shaker.elastomer.frame import MODE_NAMES, block, platform_family, sensitivities
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
@@ -69,8 +69,7 @@ def cross_beam() -> Figure:
         axes.annotate("", (52 + dx, -28 + dy), (52, -28), arrowprops={"arrowstyle": "->", "color": GREEN})
         axes.text(52 + 1.2 * dx, -28 + 1.2 * dy, text, color=GREEN, ha="center", va="center")
     axes.text(50.5, -33.5, "z: towards you", color=GREEN, fontsize=8, va="center", ha="left")
-    axes.set(xlim=(-60, 75), ylim=(-42, 42), aspect="equal")
-    axes.axis("off")
+    blank(axes, (-60, 75), (-42, 42))
     return figure
 
 

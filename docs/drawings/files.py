@@ -10,19 +10,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
-from style import BLUE, GREY, ORANGE, RED, new_figure
+from style import BLUE, DARK, DOCS, GREY, ORANGE, RED, blank, new_figure
 
 from fusion.recording.response import read_response
-
-DOCS = Path(__file__).resolve().parents[1]
-DARK = "#222222"
 
 
 def files_stereo() -> Figure:
     """Draw the frames of the two cameras of a pair, and the coordinates of a pixel."""
     figure, (above, pixels) = new_figure(2.9, 1, 2, width_ratios=(1.5, 1.0))
-    above.set(xlim=(-1.2, 4.6), ylim=(-1.1, 3.6), aspect="equal")
-    above.axis("off")
+    blank(above, (-1.2, 4.6), (-1.1, 3.6))
     for x, name, colour in ((0.0, "left", BLUE), (3.0, "right", ORANGE)):
         above.add_patch(
             Polygon([(x - 0.28, -0.7), (x + 0.28, -0.7), (x + 0.28, 0.0), (x - 0.28, 0.0)], color="#59636e")
@@ -43,8 +39,7 @@ def files_stereo() -> Figure:
         ha="center",
     )
     above.set_title("The pair from above, y down")
-    pixels.set(xlim=(-0.9, 4.6), ylim=(3.7, -1.1), aspect="equal")
-    pixels.axis("off")
+    blank(pixels, (-0.9, 4.6), (3.7, -1.1))
     for row in range(4):
         for column in range(5):
             pixels.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, fc="white", ec=GREY, lw=0.8))

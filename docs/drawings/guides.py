@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from scipy.signal import chirp
 from scipy.stats import t as student
-from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
+from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, blank, new_figure
 
 from fusion.simulate.sines import SETUPS, runs
 from fusion.simulate.world import Draws, make_world
@@ -31,8 +31,7 @@ def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float], colo
 def measurement_principle() -> Figure:
     """Shaker, sensor and load mass with the instruments, and the quantities that they give."""
     figure, axes = new_figure(3.1)
-    axes.set(xlim=(0, 10), ylim=(0, 4.3), aspect="equal")
-    axes.axis("off")
+    blank(axes, (0, 10), (0, 4.3))
     _box(axes, (2.9, 0.1), (2.2, 0.8), "shaker", GREY)
     _box(axes, (3.3, 0.95), (1.4, 0.35), "base", GREY)
     _box(axes, (3.4, 1.35), (1.2, 0.6), "sensor", ORANGE)
@@ -137,8 +136,7 @@ def mountings() -> Figure:
 def linked_rounds() -> Figure:
     """A regional round linked to a key comparison by a pilot."""
     figure, axes = new_figure(2.6)
-    axes.set(xlim=(0, 10), ylim=(0, 4))
-    axes.axis("off")
+    blank(axes, (0, 10), (0, 4), "auto")
     for x, title, artefact in ((0.2, "key comparison", "artefact A"), (7.2, "regional round", "artefact B")):
         axes.add_patch(Rectangle((x, 0.3), 3.4 if x < 1 else 2.5, 3.2, facecolor="none", edgecolor=GREY, linewidth=1.0))
         axes.text(x + (1.7 if x < 1 else 1.25), 3.6, title, ha="center", weight="bold")

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.patches import Arc, Circle, FancyArrowPatch, Polygon, Rectangle
-from numpy.typing import NDArray
+from matplotlib.patches import Arc, Circle, Polygon, Rectangle
 from scipy.signal import lfilter
-from style import BLUE, GREEN, GREY, ORANGE, RC, RED, VIOLET, Figure, new_figure
+from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Figure, FloatArray, arrow, blank, camera_shape, new_figure
 
-FloatArray = NDArray[np.float64]
 STEEL, PALE = "#cbd5e1", "#eef1f4"
-
-
-def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float], colour: str, style: str = "-|>") -> None:
-    axes.add_patch(FancyArrowPatch(start, end, arrowstyle=style, mutation_scale=11, color=colour, shrinkA=0, shrinkB=0))
-
-
-def _blank(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    axes.set(xlim=x, ylim=y, aspect="equal")
-    axes.axis("off")
 
 
 def _note(axes: Any, place: tuple[float, float], text: str, at: tuple[float, float], colour: str = "black") -> None:
@@ -39,20 +27,10 @@ def _note(axes: Any, place: tuple[float, float], text: str, at: tuple[float, flo
     )
 
 
-def _camera(axes: Any, place: FloatArray, towards: FloatArray, size: float = 2.0) -> None:
-    along = (towards - place) / np.linalg.norm(towards - place)
-    across = np.array([-along[1], along[0]])
-    body = [place + size * (a * along + b * across) for a, b in ((-1.6, -0.7), (0, -0.7), (0, 0.7), (-1.6, 0.7))]
-    lens = [place + size * (a * along + b * across) for a, b in ((0, -0.35), (0.6, -0.5), (0.6, 0.5), (0, 0.35))]
-    for shape in (body, lens):
-        axes.add_patch(Polygon(shape, facecolor="#dbe4ee", edgecolor=BLUE, linewidth=1.3))
-
-
-@mpl.rc_context(RC)
 def instrument_places() -> Figure:
     """Draw a shaker with sensor and load from the side, and where the instruments go."""
     figure, axes = new_figure(4.3)
-    _blank(axes, (-53, 53), (-5, 57))
+    blank(axes, (-53, 53), (-5, 57))
     axes.plot([-50, 50], [0, 0], color="black")
     axes.add_patch(Rectangle((-12, 0), 24, 12, facecolor=STEEL, edgecolor=GREY))
     axes.text(0, 6, "shaker", ha="center", va="center")
@@ -72,11 +50,11 @@ def instrument_places() -> Figure:
     for sign in (-1.0, 1.0):
         place = target + 24.0 * np.array([sign * np.sin(np.radians(15.0)), np.cos(np.radians(15.0))])
         axes.plot(*zip(place, target, strict=True), color=BLUE, linewidth=0.8, linestyle="--")
-        _camera(axes, place, target)
+        camera_shape(axes, place, target, 2.0)
     for x in (-2.4, 0.0, 2.4):
         axes.plot([x, x], [24.1, 49.0], color=RED, linewidth=1.0)
     axes.add_patch(Arc((0.0, 24.1), 17.0, 17.0, theta1=75, theta2=105, color=BLUE))
-    axes.text(-2.8, 32.0, "α = 30°", ha="right", fontsize=8, color=BLUE)
+    axes.text(-3.4, 32.4, "α = 30°", ha="right", fontsize=8, color=BLUE)
     axes.add_patch(Rectangle((-3.6, 49.0), 7.2, 3.6, facecolor="#f8d7da", edgecolor=RED))
     axes.add_patch(Rectangle((1.6, 52.6), 1.6, 1.3, facecolor=VIOLET))
     _note(axes, (3.6, 50.8), "laser head, with an accelerometer", (22, 52.6), RED)
@@ -87,17 +65,16 @@ def instrument_places() -> Figure:
         axes.plot([x, x], [50.8, 55.6], color=GREY, linewidth=3)
     axes.text(-48, 52.4, "separate stand for cameras", fontsize=8, color=GREY, va="center")
     axes.add_patch(Rectangle((-20, 22.2), 7.5, 1.6, facecolor="#111827"))
-    axes.plot([-16.2, -16.2, -42, -42], [22.2, 21.6, 21.6, 0], color=GREY, linewidth=2)
+    axes.plot([-16.2, -16.2, -46, -46], [22.2, 21.6, 21.6, 0], color=GREY, linewidth=2)
     _note(axes, (-18, 23.8), "stationary speckle in view,\non a separate stand", (-24, 29), GREEN)
     axes.text(0, -4.0, "floor", ha="center", color=GREY, fontsize=8)
     return figure
 
 
-@mpl.rc_context(RC)
 def trigger_wiring() -> Figure:
     """Draw how the trigger reaches cameras and recorders."""
     figure, axes = new_figure(2.9)
-    _blank(axes, (0, 100), (0, 38))
+    blank(axes, (0, 100), (0, 38))
     boxes = {
         "pulse generator": (2, 27, 20, 7, GREY),
         "left camera": (36, 29, 17, 7, BLUE),
@@ -114,18 +91,18 @@ def trigger_wiring() -> Figure:
         axes.text(x + wide / 2, y + high / 2, name, ha="center", va="center", fontsize=8.5)
     for y in (32.5, 22.5):
         axes.plot([28, 28], [30.5, y], color=GREY, linewidth=1.3)
-        _arrow(axes, (28, y), (36, y), GREY)
+        arrow(axes, (28, y), (36, y), GREY)
     axes.plot([22, 28], [30.5, 30.5], color=GREY, linewidth=1.3)
     axes.text(23, 18, "trigger,\nequal cables", fontsize=7.5, color=GREY, ha="center")
     axes.plot([53, 66], [32.5, 32.5], color=RED, linewidth=1.8)
     axes.plot([66, 66], [13.0, 32.5], color=RED, linewidth=1.8)
     for y, x in ((30.5, 78), (20.5, 78), (13.0, 53)):
-        _arrow(axes, (66, y), (x, y), RED)
+        arrow(axes, (66, y), (x, y), RED)
     axes.text(54, 34.0, "exposure output", fontsize=8, color=RED)
     axes.text(67.5, 25.0, "one channel\nof each\nrecorder", fontsize=7.5, color=RED, va="center")
     axes.text(60, 9.0, "starts the flash, delayed\nuntil both shutters are open", fontsize=7.5, color=RED, va="center")
-    _arrow(axes, (22, 4), (36, 4), GREY)
-    _arrow(axes, (53, 4), (78, 4), GREY)
+    arrow(axes, (22, 4), (36, 4), GREY)
+    arrow(axes, (53, 4), (78, 4), GREY)
     return figure
 
 
@@ -139,7 +116,6 @@ def _measured(time: FloatArray, pulse: FloatArray, corner: float, ringing: float
     return np.asarray(smooth + ringing * np.convolve(flanks, decay)[: len(time)])
 
 
-@mpl.rc_context(RC)
 def trigger_pulses() -> Figure:
     """Draw trigger, exposure and strobe over one frame, and three kinds of recorded edges."""
     figure, axes = new_figure(3.1, 1, 2, width_ratios=[1.2, 1.0])
@@ -186,28 +162,27 @@ def trigger_pulses() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def reflections() -> Figure:
     """Draw why a reflection moves differently from the surface, and light that avoids it."""
     figure, axes = new_figure(2.6, 1, 3)
     titles = ("lamp next to the camera", "the face tilts by θ", "light from the side")
     for number, (axis, title) in enumerate(zip(axes, titles, strict=True)):
-        _blank(axis, (-9, 9), (-4.2, 12))
+        blank(axis, (-9, 9), (-4.2, 12))
         axis.set_title(title)
         tilt = np.radians(9.0) if number == 1 else 0.0
         along = np.array([np.cos(tilt), np.sin(tilt)])
         for sign in (-1.0, 1.0):
             axis.plot([0, 6 * sign * along[0]], [0, 6 * sign * along[1]], color="black", linewidth=2.5)
         light = np.array([-3.0, 10.0]) if number < 2 else np.array([-8.2, 3.2])
-        _camera(axis, np.array([3.0, 9.0]), np.zeros(2), 1.0)
+        camera_shape(axis, np.array([3.0, 9.0]), np.zeros(2), 1.0)
         axis.add_patch(Circle(tuple(light), 0.7, facecolor="#fde68a", edgecolor=ORANGE))
-        _arrow(axis, tuple(light * 0.88), (0.0, 0.0), ORANGE)
+        arrow(axis, tuple(light * 0.88), (0.0, 0.0), ORANGE)
         normal = np.array([-along[1], along[0]])
         incoming = -light / np.linalg.norm(light)
         leaving = incoming - 2.0 * (incoming @ normal) * normal
         end = leaving * (8.0 if number < 2 else 7.5)
         hit = number == 0
-        _arrow(axis, (0.0, 0.0), (float(end[0]), float(end[1])), RED if hit else GREY)
+        arrow(axis, (0.0, 0.0), (float(end[0]), float(end[1])), RED if hit else GREY)
         if number == 1:
             angle = float(np.degrees(np.arctan2(end[1], end[0])))
             axis.add_patch(Arc((0, 0), 13, 13, theta1=angle - 18.0, theta2=angle, color=GREY))
@@ -237,7 +212,6 @@ def reflections() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def laboratory_day() -> Figure:
     """Draw the steps of a day over time."""
     figure, axes = new_figure(2.7)
@@ -269,7 +243,6 @@ def laboratory_day() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def rolling_shutter() -> Figure:
     """Draw when rows are exposed, and what a straight vertical line that oscillates looks like."""
     figure, axes = new_figure(2.9, 1, 4, width_ratios=[2.1, 1, 1, 1])
@@ -298,7 +271,6 @@ def rolling_shutter() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def exposure_effects() -> Figure:
     """Draw the loss of amplitude by the exposure, and the bias of a fit of sharp images."""
     figure, axes = new_figure(2.8, 1, 2)

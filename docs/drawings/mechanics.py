@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
-from style import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from style import BLUE, GREEN, GREY, ORANGE, RED, blank, new_figure
 
 BLACK = "#1f2937"
 BODY = {"facecolor": "#e5e7eb", "edgecolor": BLACK, "linewidth": 1.2}
@@ -73,11 +73,10 @@ def motion(axes: Any, x: float, y: float, text: str) -> None:
     axes.text(x + 0.27, y + 0.26, text, color=GREEN, va="center")
 
 
-def blank(axes: Any, width: float, height: float, title: str) -> None:
-    """Prepare axes without frame for a sketch."""
-    axes.set(xlim=(-width / 2, width / 2), ylim=(-0.35, height), aspect="equal")
+def sketch(axes: Any, width: float, height: float, title: str) -> None:
+    """Prepare axes for a sketch about their middle."""
+    blank(axes, (-width / 2, width / 2), (-0.35, height))
     axes.set_title(title, loc="center")
-    axes.axis("off")
 
 
 def load_masses() -> Figure:
@@ -85,7 +84,7 @@ def load_masses() -> Figure:
     figure, panels = new_figure(3.3, 1, 3)
     titles = ("no load", "two masses: rigid load", "three masses: coupling")
     for axes, title in zip(panels, titles, strict=True):
-        blank(axes, 3.2, 4.35, title)
+        sketch(axes, 3.2, 4.35, title)
         ground(axes, 0.0, -0.9, 0.9)
         joint(axes, 0.0, (0.0, 1.0), "$k$", "$c$")
         mass(axes, (-0.75, 1.0, 1.5, 0.55), "$m_E$")
@@ -104,7 +103,7 @@ def identify_masses() -> Figure:
     """Load on a sensor with a driven base: one spring, a compliant mount, a pitching load."""
     figure, panels = new_figure(3.5, 1, 3)
     for axes, title in zip(panels, ("translation", "adapter", "pitching"), strict=True):
-        blank(axes, 3.3, 4.3, title)
+        sketch(axes, 3.3, 4.3, title)
     for axes, low in ((panels[0], 0.0), (panels[1], 1.15)):
         mass(axes, (-0.85, low, 1.7, 0.3), "sensor base")
         joint(axes, 0.0, (low + 0.3, low + 1.25), "$k$", "$b$")
@@ -147,8 +146,7 @@ def identify_masses() -> Figure:
 def mounted_chain() -> Figure:
     """Pedestal, sensor and hand as three masses in a row, with their natural frequencies."""
     figure, axes = new_figure(1.8)
-    blank(axes, 9.0, 2.3, "")
-    axes.set(xlim=(-0.3, 9.0), ylim=(0.0, 2.1))
+    blank(axes, (-0.3, 9.0), (0.0, 2.1))
     axes.plot([0.0, 0.0], [0.2, 1.8], color=BLACK, linewidth=1.4)
     for y in np.arange(0.35, 1.81, 0.2):
         axes.plot([-0.12, 0.0], [y - 0.12, y], color=BLACK, linewidth=0.8)
@@ -174,8 +172,7 @@ def mounted_chain() -> Figure:
 def signal_paths() -> Figure:
     """Loads, common modes, outputs and the decoupling filter of a sensor with several components."""
     figure, axes = new_figure(2.5)
-    axes.set(xlim=(0.0, 12.0), ylim=(0.1, 4.0))
-    axes.axis("off")
+    blank(axes, (0.0, 12.0), (0.1, 4.0), "auto")
     loads, outputs, reads = ("Fx", "Fz", "My"), ("output Fx", "output Fz", "output My"), ("Fx", "Fz", "My")
     heights = (3.2, 1.9, 0.6)
     modes = ("mode 1", "mode 2", "mode 3")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from style import BLUE, GREY, ORANGE, RED, new_figure
+from style import BLUE, GREY, ORANGE, RED, blank, new_figure
 
 from fusion.simulate.preset import PlateSpec, Preset, read_preset
 from fusion.simulate.world import MEAN_SHAPE, MEAN_SQUARE_SHAPE, plate_shape
@@ -15,11 +13,6 @@ from photogram.direct.surface import PlainShapes
 
 DRIVEN_HZ = 1020.3
 LASERS = (0.31, 0.50, 0.76)
-
-
-def _title(axes: Any, text: str) -> None:
-    """Write the title of a part."""
-    axes.set_title(text, loc="left", fontsize=9.0, fontweight="bold")
 
 
 def mode_shapes() -> Figure:
@@ -33,8 +26,7 @@ def mode_shapes() -> Figure:
     moved[:, inside] = shapes(points)
     figure, axes = new_figure(4.6, 2, 3)
     for number, (part, name) in enumerate(zip(axes.ravel(), shapes.names, strict=True)):
-        part.set(xlim=(-1.45, 1.45), ylim=(-1.45, 1.45), aspect="equal")
-        part.set_axis_off()
+        blank(part, (-1.45, 1.45), (-1.45, 1.45))
         turn = np.linspace(0.0, 2.0 * np.pi, 200)
         part.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=1.0)
         if number < 3:
@@ -45,7 +37,7 @@ def mode_shapes() -> Figure:
             part.quiver(
                 u[coarse], v[coarse], along[..., 0], along[..., 1], color=BLUE, scale=7.0, width=0.012, pivot="mid"
             )
-        _title(part, name)
+        part.set_title(name)
     bar = figure.colorbar(shown, ax=axes[0], shrink=0.8, ticks=[-1, 0, 1])
     bar.set_label("displacement across\nthe face / amplitude")
     return figure
@@ -72,13 +64,13 @@ def elastic_force() -> Figure:
     force.axvline(DRIVEN_HZ, color=GREY, linewidth=0.8)
     force.set(xlabel="frequency / Hz", ylabel="force over mass × a(foot) − 1 / %", ylim=(0.0, None), xlim=(0.0, 2000.0))
     force.legend(title="natural frequency", fontsize=7.5, title_fontsize=7.5, frameon=False)
-    _title(force, "Force of a load whose top bends")
+    force.set_title("Force of a load whose top bends")
     laser.axhline(0.0, color=GREY, linewidth=0.8)
     for place in LASERS:
         laser.axvline(place, color=RED, linewidth=0.8, linestyle="-.")
-        laser.text(place + 0.01, -3.1, f"{place:.2f}", fontsize=7.5, color=RED)
+        laser.text(place + 0.01, -3.7, f"{place:.2f}", fontsize=7.5, color=RED)
     laser.set(xlabel="radius of the laser spot / radius of the plate", ylabel="force over mass × a(spot) − 1 / %")
-    _title(laser, f"Effect of the laser's place, {DRIVEN_HZ:.0f} Hz")
+    laser.set_title(f"Effect of the laser's place, {DRIVEN_HZ:.0f} Hz")
     return figure
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from scipy.optimize import brentq
-from style import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from style import BLUE, DARK, GREEN, GREY, ORANGE, RED, blank, new_figure
 
 from shaker.compensation.filter import single_mode
 from shaker.lti.indices import indices
@@ -15,7 +15,6 @@ from shaker.mechanics import required_stiffness
 from shaker.release.load_model import LoadModel
 from shaker.release.load_response import pole_responses
 
-DARK = "#222222"
 RESONANCE_HZ, MASS_KG, DAMPING_KG_PER_S = 1477.35, 4.236 + 0.769, 699.18
 """Resonance of Fz with the smaller load, and its damping as printed (Nitsche, Kumme and Tutsch 2018)."""
 OVERSHOOT, STATED_DAMPING, NATURAL_HZ = 0.926, 0.004, 500.0
@@ -89,8 +88,7 @@ def papers_band() -> Figure:
 def real_data_map() -> Figure:
     """Draw the parts of the program in their order, with the data sets that test each of them."""
     figure, axes = new_figure(2.5)
-    axes.set(xlim=(0.0, 16.0), ylim=(0.0, 5.6))
-    axes.axis("off")
+    blank(axes, (0.0, 16.0), (0.0, 5.6), "auto")
     for at, (name, sets) in enumerate(PARTS):
         left = 2.0 * at
         colour = BLUE if sets else GREY

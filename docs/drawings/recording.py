@@ -8,16 +8,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
-from style import BLUE, GREEN, GREY, ORANGE, RED, new_figure
+from style import BLUE, DARK, GREEN, GREY, ORANGE, RED, blank, new_figure
 
-DARK = "#222222"
 RIG, RECORDING = DARK, ORANGE
 METAL, SENSOR, BASE, CAMERA = "#dfe3e8", "#c9dcf0", "#b9c0c8", "#59636e"
 
 
 def recording_rig() -> Figure:
     """Draw a rig from the side, every item with the name of its block."""
-    figure, axes = _blank(4.5, (0, 14.4), (0, 9.0))
+    figure, axes = new_figure(4.5)
+    blank(axes, (0, 14.4), (0, 9.0))
     _bodies(axes)
     _camera(axes, (3.6, 7.9), (5.9, 5.2))
     _camera(axes, (5.0, 8.1), (6.1, 5.2))
@@ -59,7 +59,8 @@ def recording_rig() -> Figure:
 
 def recording_axes() -> Figure:
     """Draw the sensor frame, the frame of a left camera and the sense of a laser channel."""
-    figure, axes = _blank(3.9, (-5.2, 8.2), (-1.6, 7.3))
+    figure, axes = new_figure(3.9)
+    blank(axes, (-5.2, 8.2), (-1.6, 7.3))
     axes.add_patch(Rectangle((-1.6, 0.9), 3.2, 1.7, fc=METAL, ec=DARK, lw=0.8))
     axes.add_patch(Rectangle((-1.1, -0.4), 2.2, 1.3, fc=SENSOR, ec=DARK, lw=0.8))
     axes.add_patch(Rectangle((-2.0, -1.3), 4.0, 0.9, fc=BASE, ec=DARK, lw=0.8))
@@ -130,7 +131,8 @@ def recording_times() -> Figure:
 
 def recording_edges() -> Figure:
     """Draw trigger edges with their numbers, and the frames that belong to them."""
-    figure, axes = _blank(2.2, (-1.6, 11.4), (-0.6, 3.6))
+    figure, axes = new_figure(2.2)
+    blank(axes, (-1.6, 11.4), (-0.6, 3.6))
     for edge in range(11):
         axes.plot([edge - 0.25, edge, edge, edge + 0.3, edge + 0.3, edge + 0.75], [2, 2, 2.6, 2.6, 2, 2], color=DARK)
         axes.text(edge + 0.15, 2.75, str(edge), ha="center", fontsize=8.5, color=DARK)
@@ -168,14 +170,6 @@ def elastic_effect() -> Figure:
     axes.set(xlim=(0, 2000), ylim=(0, None))
     axes.legend(loc="upper left")
     return figure
-
-
-def _blank(height_in: float, x: tuple[float, float], y: tuple[float, float]) -> tuple[Figure, Axes]:
-    """Return a figure without axes lines, in one unit for both directions."""
-    figure, axes = new_figure(height_in)
-    axes.set(xlim=x, ylim=y, aspect="equal")
-    axes.axis("off")
-    return figure, axes
 
 
 def _bodies(axes: Axes) -> None:

@@ -104,7 +104,7 @@ def release_instants() -> Figure:
         xlabel="time / ms", ylabel="output / baseline", title="Output of the sensor", xlim=(-4, 26), ylim=(-1.1, 1.3)
     )
     for low, high, text in (
-        (-4.0, -0.1, "rest:\nbaseline, noise"),
+        (-4.0, -0.1, "rest:\nbaseline,\nnoise"),
         (0.6, 18.0, "ringing: modes"),
         (18.2, 26.0, "steady level"),
     ):
@@ -192,7 +192,7 @@ def step_residuals() -> Figure:
         (panels[2], enough, BLUE, "Residual of the model that the program selects: noise alone"),
     ):
         axes.plot(1e3 * fit.time_s, fit.residual, color=color, linewidth=0.6)
-        axes.set(ylim=(-0.12, 0.12), ylabel="residual / (V/V)", title=title)
+        axes.set(ylim=(-0.12, 0.12), ylabel="residual\n/ (V/V)", title=title)
     panels[2].set(xlabel="time / ms", xlim=(-1.0, 10.0))
     return figure
 
@@ -212,31 +212,14 @@ def pole_plane() -> Figure:
     for value in (1000.0, 2000.0, 3000.0, 6000.0):
         turn = np.linspace(np.pi / 2, 1.5 * np.pi, 200)
         axes.plot(value * np.cos(turn), value * np.sin(turn), color=GREY, linewidth=0.4, linestyle=":")
-    axes.annotate(
-        "mode: 2π $f_n$ = |$p$|, the distance from 0;  ζ = −Re $p$ / |$p$|",
-        (mode.real, mode.imag),
-        (-3200, 1400),
-        fontsize=8,
-        ha="center",
-        arrowprops={"arrowstyle": "-", "color": BLUE, "linewidth": 0.6},
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
-    )
-    axes.annotate(
-        "second mode",
-        (-58, 2899),
-        (-1500, 3100),
-        fontsize=8,
-        ha="center",
-        arrowprops={"arrowstyle": "-", "color": BLUE, "linewidth": 0.6},
-    )
-    axes.annotate(
-        "real pole: the amplifier",
-        (-6000, 0),
-        (-5300, 700),
-        fontsize=8,
-        ha="center",
-        arrowprops={"arrowstyle": "-", "color": BLUE, "linewidth": 0.6},
-    )
+    for text, pole, place in (
+        ("mode: 2π $f_n$ = |$p$|, the distance from 0;  ζ = −Re $p$ / |$p$|", (mode.real, mode.imag), (-3200, 1400)),
+        ("second mode", (-58, 2899), (-1500, 3100)),
+        ("real pole: the amplifier", (-6000, 0), (-5300, 700)),
+    ):
+        line = {"arrowstyle": "-", "color": BLUE, "linewidth": 0.6}
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        axes.annotate(text, pole, place, fontsize=8, ha="center", arrowprops=line, bbox=behind)
     axes.text(150, -2600, "growing:\nno sensor", fontsize=8, color=RED, va="center")
     axes.set(xlabel="Re $p$ / 2π / Hz", ylabel="Im $p$ / 2π / Hz", xlim=(-7200, 1200), ylim=(-3600, 3600))
     axes.set_title("Poles of the model")

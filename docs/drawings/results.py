@@ -17,12 +17,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
-from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
+from style import BLUE, DARK, GREEN, GREY, ORANGE, RED, ROOT, VIOLET, blank, marked_table, new_figure
 
 from fusion import Settings, run_path
 
-ROOT = Path(__file__).resolve().parents[2]
-DARK = "#222222"
 MONO = {"family": "DejaVu Sans Mono", "fontsize": 7.5, "va": "center"}
 LARGEST = 9
 COLUMNS = (
@@ -99,11 +97,9 @@ def result_curve() -> Figure:
 
 def _published_curve() -> list[np.ndarray]:
     """Return frequency, fused magnitude, its U, phase, its U, true magnitude and phase of the page's table."""
-    page = (ROOT / "docs" / "nitsche2018.md").read_text(encoding="utf-8").replace("\N{MINUS SIGN}", "-")
-    (table,) = re.findall("<!-- figure 14 -->(.*?)<!-- end of figure 14 -->", page, re.DOTALL)
     rows = []
-    for line in table.strip().splitlines()[2:]:
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
+    for line in marked_table("nitsche2018.md", "figure 14"):
+        cells = [cell.replace("\N{MINUS SIGN}", "-") for cell in line]
         (size, u), (phase, u_phase) = (cells[at].split(" ± ") for at in (5, 6))
         rows.append([float(cell) for cell in (cells[0], size, u, phase, u_phase, cells[7], cells[8])])
     return list(np.array(rows).T)
@@ -113,8 +109,7 @@ def result_row() -> Figure:
     """Draw one row of sensitivity.csv, its columns in groups."""
     row = _row("Fz", "element")
     figure, axes = new_figure(2.9)
-    axes.set(xlim=(0.0, 20.0), ylim=(0.0, 9.4))
-    axes.axis("off")
+    blank(axes, (0.0, 20.0), (0.0, 9.4), "auto")
     left = 0.0
     for (title, colour, names), width in zip(COLUMNS, (5.1, 4.6, 5.6, 4.7), strict=True):
         axes.text(left + 0.15, 9.0, title, color=colour, fontsize=9.5, weight="bold", va="center")
@@ -185,8 +180,7 @@ def result_tree() -> Figure:
     """Draw the groups of result.h5 with their members."""
     tree = _demo()[1]["tree"]
     figure, axes = new_figure(3.4)
-    axes.set(xlim=(0.0, 20.0), ylim=(1.0, 16.6))
-    axes.axis("off")
+    blank(axes, (0.0, 20.0), (1.0, 16.6), "auto")
     y = 16.0
     for title, colour, groups in BRANCHES:
         shown = [name for name in groups if name in tree]

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from style import GREY, new_figure
 
 from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector
 
-FloatArray = NDArray[np.float64]
 SIZE_PX, FOCAL_PX, DISTANCE_M, HALF_ANGLE_RAD = np.array([2400, 2000]), 12000.0, 0.5, np.radians(12.5)
 TRAVEL_M = 0.01
 K1 = -0.1

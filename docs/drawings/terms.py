@@ -5,17 +5,15 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
-from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
+from style import BLUE, DARK, GREEN, GREY, ORANGE, RED, VIOLET, blank, new_figure
 
-DARK = "#222222"
 NAMES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def glossary_matrix() -> Figure:
     """Draw outputs = matrix × loads, with an element, cross-talk, the driven load and parasitic loads marked."""
     figure, axes = new_figure(3.2)
-    axes.set(xlim=(-3.4, 16.8), ylim=(-1.5, 7.4), aspect="equal")
-    axes.axis("off")
+    blank(axes, (-3.4, 16.8), (-1.5, 7.4))
     _vector(axes, -1.6, "outputs", {2: BLUE})
     axes.text(-0.15, 3.0, "=", fontsize=14, ha="center", va="center")
     for row in range(6):
@@ -44,8 +42,7 @@ def glossary_matrix() -> Figure:
 def drafting_flow() -> Figure:
     """Draw the way from files to a recording that runs, and the four kinds of values in a draft."""
     figure, axes = new_figure(2.5)
-    axes.set(xlim=(0.0, 16.0), ylim=(0.0, 5.6))
-    axes.axis("off")
+    blank(axes, (0.0, 16.0), (0.0, 5.6), "auto")
     steps = (
         (0.1, "files", "recorder, images,\ncalibration", GREY),
         (4.2, "shakercal init", "draft of recording.toml\nand rig.toml", BLUE),

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
-from style import BLUE, GREY, ORANGE, RED, new_figure
+from style import BLUE, GREY, ORANGE, RED, blank, flow_box, marked_table, new_figure
 
 from shaker import find_edges, fit_trigger, tie_clocks
 
-DOCS = Path(__file__).resolve().parents[1]
 LINE_HZ, FRAME_HZ = 106.25, 52.874
 """Driven line and frame rate of the published set-up."""
 
@@ -187,9 +183,7 @@ def locked_edges() -> Figure:
 
 def locked_errors() -> Figure:
     """Draw the error of the outputs' time by edges alone and with the motion, from the benchmark's table."""
-    text = (DOCS / "clocks.md").read_text(encoding="utf-8")
-    lines = text.partition("<!-- clocks -->\n")[2].partition("<!-- end of clocks -->")[0].splitlines()[2:]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
+    rows = marked_table("clocks.md", "clocks")
     names = list(dict.fromkeys(row[0] for row in rows))
     figure, axes = new_figure(2.9)
     for shift, way, colour in ((-0.2, "edges", GREY), (0.2, "motion", BLUE)):
@@ -223,8 +217,7 @@ def locked_errors() -> Figure:
 def interrupted_run() -> Figure:
     """Draw the stages of a run, and what a kill at each of them leaves."""
     figure, axes = new_figure(2.5)
-    axes.set(xlim=(0.0, 10.0), ylim=(0.0, 3.6))
-    axes.axis("off")
+    blank(axes, (0.0, 10.0), (0.0, 3.6), "auto")
     stages = (
         ("read and hash\nall inputs", "nothing written"),
         ("evaluate,\nkeep checkpoints", "checkpoints;\nold results whole"),
@@ -234,11 +227,8 @@ def interrupted_run() -> Figure:
     )
     for place, (stage, left) in enumerate(stages):
         x = 2.0 * place + 0.05
-        for y, text, colour, fill in ((2.0, stage, BLUE, "#e3eef7"), (0.35, left, ORANGE, "#fdeedd")):
-            axes.add_patch(
-                FancyBboxPatch((x, y), 1.75, 0.95, boxstyle="round,pad=0,rounding_size=0.06", fc=fill, ec=colour)
-            )
-            axes.text(x + 0.875, y + 0.475, text, ha="center", va="center", fontsize=7.2)
+        for y, text, colour in ((2.0, stage, BLUE), (0.35, left, ORANGE)):
+            flow_box(axes, (x, y), (1.75, 0.95), text, colour)
         arrow = {"arrowstyle": "-|>", "color": GREY}
         if place < len(stages) - 1:
             axes.annotate("", (x + 2.0, 2.475), (x + 1.75, 2.475), arrowprops=arrow)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import cv2
-import matplotlib as mpl
 import numpy as np
 from matplotlib.patches import FancyArrowPatch, Polygon, Rectangle
-from numpy.typing import NDArray
-from style import BLUE, GREEN, GREY, ORANGE, RC, RED, VIOLET, Figure, new_figure
+from style import BLUE, GREEN, GREY, ORANGE, RED, ROOT, VIOLET, Figure, FloatArray, blank, new_figure
 
 from photogram.bspline import grey_gradients, pattern_overlap, spline_of_image
 from photogram.calibration.calibration_file import read_calibration
@@ -23,8 +20,6 @@ from photogram.subsets.reference import prepare_reference, subset_offsets
 from photogram.subsets.texture import aliasing_bias, assess_subsets, place_subsets, speckle_size
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, tile_texture, view_of
 
-FloatArray = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parents[2]
 SENSOR = ImageSensor()
 PIXEL_M, FOCAL_PX = 2e-4, 2000.0
 DIRECTION, REFERENCE = (0.958, 0.287), float(np.cos(2.0 * np.pi * 80.0 * 0.0011))
@@ -63,7 +58,6 @@ def _show(axes: Any, image: FloatArray, title: str = "") -> None:
     axes.set(xticks=[], yticks=[], title=title)
 
 
-@mpl.rc_context(RC)
 def speckle_quality() -> Figure:
     """Draw four speckles, the expected noise and bias of subsets of 21 x 21 px, and spectra along x."""
     figure, axes = new_figure(3.9, 2, 4, height_ratios=[1.25, 1.0])
@@ -92,7 +86,6 @@ def speckle_quality() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def speckle_autocorrelation() -> Figure:
     """Draw the autocorrelation of three speckles, whose width at half maximum is the speckle size."""
     figure, axes = new_figure(2.6, 1, 2, width_ratios=[1.0, 2.2])
@@ -126,7 +119,6 @@ def _outline(warp: FloatArray, centre: FloatArray, radius: float) -> FloatArray:
     return centre + warp[::3] + corners @ (np.eye(2) + warp.reshape(2, 3)[:, 1:]).T
 
 
-@mpl.rc_context(RC)
 def subset_registration() -> Figure:
     """Draw the reference, a moved image, and what remains before and after the affine registration."""
     figure, axes = new_figure(2.5, 1, 4)
@@ -160,7 +152,6 @@ def _places(warp: FloatArray, centre: FloatArray, offsets: FloatArray) -> tuple[
     return points[:, 0].astype(np.float32), points[:, 1].astype(np.float32)
 
 
-@mpl.rc_context(RC)
 def subset_bound() -> Figure:
     """Draw the Cramér–Rao bound of a subset's position over its size, and the scatter that registration reaches."""
     figure, axes = new_figure(2.9)
@@ -198,7 +189,6 @@ def subset_bound() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def interpolation_bias() -> Figure:
     """Draw the error of exact images registered by splines of three degrees."""
     figure, axes = new_figure(2.8, 1, 2)
@@ -240,7 +230,6 @@ def _benchmark_points(pattern: str) -> FloatArray:
     return np.array(re.findall(row, page, re.MULTILINE), dtype=np.float64).reshape(-1, 2)
 
 
-@mpl.rc_context(RC)
 def fixed_pattern() -> Figure:
     """Draw by how much a pattern that stays on the sensor shortens a sine, in closed form, and rendered recordings.
 
@@ -268,7 +257,6 @@ def fixed_pattern() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def repeated_print() -> Figure:
     """Draw where copies of one subset lie on a foil that repeats, straight and turned against the epipolar lines."""
     figure, axes = new_figure(3.1, 1, 2)
@@ -294,7 +282,6 @@ def repeated_print() -> Figure:
     return figure
 
 
-@mpl.rc_context(RC)
 def epipolar_sensitivity() -> Figure:
     """Draw how points of the demo pair move in the right image by a turn of that camera, and what of it is visible."""
     rig = read_calibration(ROOT / "sample_images" / "demo" / "calibration" / "top.json")
@@ -337,12 +324,10 @@ def _crossing_m(rig: Any) -> float:
     return float(np.linalg.lstsq(columns, start, rcond=None)[0][0])
 
 
-@mpl.rc_context(RC)
 def tracking_steps() -> Figure:
     """Draw the steps from the images of two cameras to the six components of the body."""
     figure, axes = new_figure(2.1)
-    axes.set(xlim=(0, 100), ylim=(0, 30), xticks=[], yticks=[])
-    axes.axis("off")
+    blank(axes, (-0.3, 100), (0, 30), "auto")
     boxes = [
         (0, "1 grid", "subsets on the\ntextured area of\nthe first left image", BLUE),
         (20.6, "2 left to right", "each subset along\nits epipolar line,\nonce", BLUE),

@@ -4,45 +4,36 @@ from __future__ import annotations
 
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, FancyBboxPatch, Rectangle
+from matplotlib.patches import Ellipse, Rectangle
 from scipy.stats import chi2, ncx2
-from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, new_figure
+from style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    RED,
+    ROOT,
+    blank,
+    flow_arrow,
+    flow_box,
+    marked_table,
+    new_figure,
+)
 
 from fusion import Settings, evaluate_recording, load_manifest
 from fusion.estimation.coverage import coverage_factor, polar, region_factor
 from fusion.planning.validation.validation_run import validate
 
-ROOT = Path(__file__).resolve().parents[2]
-PALE = {BLUE: "#e3eef7", ORANGE: "#fdeedd", GREEN: "#e4f3e7", RED: "#fbe5e5", GREY: "#eef0f2", VIOLET: "#efeaf6"}
-
-
-def _box(axes: Any, x: float, y: float, size: tuple[float, float], text: str, colour: str) -> None:
-    axes.add_patch(
-        FancyBboxPatch((x, y), *size, boxstyle="round,pad=0,rounding_size=0.06", fc=PALE[colour], ec=colour, lw=1.1)
-    )
-    axes.text(x + size[0] / 2, y + size[1] / 2, text, ha="center", va="center", fontsize=7.6, linespacing=1.25)
-
-
-def _arrow(axes: Any, begin: tuple[float, float], end: tuple[float, float], colour: str = GREY) -> None:
-    axes.annotate(
-        "", end, begin, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
-    )
-
-
-def _blank(axes: Any, width: float, height: float) -> None:
-    axes.set(xlim=(0.0, width), ylim=(0.0, height))
-    axes.axis("off")
-
 
 def measurement_model() -> Figure:
     """Draw the chain from recordings to the sensitivity, and the influences that enter at each step."""
     figure, axes = new_figure(3.9)
-    _blank(axes, 10.0, 5.2)
+    blank(axes, (0.0, 10.0), (0.0, 5.2), "auto")
     size = 1.85, 0.8
     for place, text in enumerate(
         (
@@ -52,25 +43,25 @@ def measurement_model() -> Figure:
             "samples of the\nsensor's outputs",
         )
     ):
-        _box(axes, 0.0, 4.3 - 0.98 * place, size, text, GREY)
-        _arrow(axes, (1.85, 4.7 - 0.98 * place), (2.35, 3.0 - 0.28 * (place - 1.5)))
-    _box(axes, 2.35, 2.35, (1.45, 1.1), "sine\napproximation\nat the exact\ninstants", BLUE)
-    _box(axes, 4.25, 3.35, (1.75, 1.1), "readings\n$y = X\\,A + C\\,ε + e$\nleast squares → $A$", BLUE)
-    _box(axes, 6.4, 3.35, (1.5, 1.1), "load\n$L = M\\,A$\n+ tilted weight", BLUE)
-    _box(axes, 8.3, 2.35, (1.6, 1.1), "sensitivity\n$S = V / L$,\nelement $S_{cd}$", GREEN)
-    _arrow(axes, (3.8, 3.2), (4.25, 3.7), BLUE)
-    _arrow(axes, (6.0, 3.9), (6.4, 3.9), BLUE)
-    _arrow(axes, (7.9, 3.7), (8.45, 3.45), BLUE)
-    _arrow(axes, (3.8, 2.6), (8.3, 2.6), BLUE)
-    axes.text(6.05, 2.68, "phasors $V$ of the outputs", ha="center", fontsize=7.6, color=BLUE)
+        flow_box(axes, (0.0, 4.3 - 0.98 * place), size, text, GREY)
+        flow_arrow(axes, (1.85, 4.7 - 0.98 * place), (2.35, 3.0 - 0.28 * (place - 1.5)))
+    flow_box(axes, (2.35, 2.35), (1.45, 1.1), "sine\napproximation\nat the exact\ninstants", BLUE)
+    flow_box(axes, (4.25, 3.35), (1.75, 1.1), "readings\n$y = X\\,A + C\\,ε + e$\nleast squares → $A$", BLUE)
+    flow_box(axes, (6.4, 3.35), (1.5, 1.1), "load\n$L = M\\,A$\n+ tilted weight", BLUE)
+    flow_box(axes, (8.3, 2.35), (1.6, 1.1), "sensitivity\n$S = V / L$,\nelement $S_{cd}$", GREEN)
+    flow_arrow(axes, (3.8, 3.2), (4.25, 3.7), BLUE)
+    flow_arrow(axes, (6.0, 3.9), (6.4, 3.9), BLUE)
+    flow_arrow(axes, (7.9, 3.7), (8.45, 3.45), BLUE)
+    flow_arrow(axes, (3.8, 2.6), (8.3, 2.6), BLUE)
+    axes.text(6.14, 2.68, "phasors $V$ of the outputs", ha="center", fontsize=7.6, color=BLUE)
     for x, width, text, target in (
         (2.3, 1.55, "noise, jitter,\nclock ties,\nfrequencies", (3.0, 2.35)),
         (4.1, 2.0, "scales, delays, responses,\npoints, directions, heads,\npose, calibration", (5.1, 3.35)),
         (6.3, 1.75, "mass, centre, inertia,\njoint, modes, cables,\ngravity, air", (7.15, 3.35)),
         (8.2, 1.75, "static matrix,\ntemperature,\ndistortion, drift", (9.1, 2.35)),
     ):
-        _box(axes, x, 0.35, (width, 1.0), text, ORANGE)
-        _arrow(axes, (x + width / 2, 1.35), target, ORANGE)
+        flow_box(axes, (x, 0.35), (width, 1.0), text, ORANGE)
+        flow_arrow(axes, (x + width / 2, 1.35), target, ORANGE)
     axes.text(0.0, 0.8, "influences ε:\none name is\none unknown", fontsize=7.6, color=ORANGE, va="center")
     axes.set_title("From recordings to the sensitivity: influences enter at four steps")
     return figure
@@ -253,7 +244,7 @@ def shared_errors() -> Figure:
 def influence_scopes() -> Figure:
     """Draw which results share an unknown, by its scope."""
     figure, axes = new_figure(2.6)
-    _blank(axes, 10.0, 4.6)
+    blank(axes, (0.0, 10.0), (0.0, 4.6), "auto")
     left, width = 3.15, 1.1
     names = ("recording 1", "recording 2", "recording 3", "recording 4", "recording 5", "recording 6")
     for place, name in enumerate(names):
@@ -290,7 +281,7 @@ def influence_scopes() -> Figure:
 
 def violated_assumptions() -> Figure:
     """Draw how far each violated assumption moves a result, and what the program does about it."""
-    rows = [row for row in _table("assumptions-tables.md", "violations") if row[0] != "nothing" and row[5] != "–"]
+    rows = [row for row in marked_table("assumptions-tables.md", "violations") if row[0] != "nothing" and row[5] != "–"]
     rows.sort(key=lambda row: float(row[5]))
     colours = {"noticed": GREEN, "covered": BLUE, "harmless": GREY, "listed": ORANGE}
     figure, axes = new_figure(6.4)
@@ -338,7 +329,7 @@ def validation_deviations() -> Figure:
 
 def other_physics_coverage() -> Figure:
     """Draw U over the necessary size of every case under other physics."""
-    rows = _table("other-physics.md", "other physics")
+    rows = marked_table("other-physics.md", "other physics")
     commands = list(dict.fromkeys(row[0] for row in rows))
     figure, axes = new_figure(2.8)
     for place, command in enumerate(commands):
@@ -381,13 +372,6 @@ def _benchmark(name: str) -> Any:
     if folder not in sys.path:
         sys.path.append(folder)
     return importlib.import_module(name)
-
-
-def _table(page: str, name: str) -> list[list[str]]:
-    """Return the cells of a table that a benchmark writes into a page."""
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    lines = text.partition(f"<!-- {name} -->\n")[2].partition(f"<!-- end of {name} -->")[0].splitlines()
-    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:] if line.startswith("|")]
 
 
 DRAWINGS = (
