@@ -7,12 +7,13 @@ demo recording, in motion, is the picture of the README: docs/images/first-scree
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -188,13 +189,23 @@ def first_screens(browser: Any, path: Path, phases: int = 1) -> list[Image.Image
     return taken
 
 
+def names_to_make(every: Collection[str], purpose: str | None) -> list[str]:
+    """Return the names of the command line, all without one; exit status 2 for one that is not among `every`."""
+    parser = argparse.ArgumentParser(description=purpose, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    names: list[str] = parser.parse_args().names
+    if unknown := [name for name in names if name not in every]:
+        parser.error(f"NAME: expected some of {', '.join(every)}, found {', '.join(unknown)}")
+    return names or list(every)
+
+
 def make_gallery(chosen: list[str]) -> None:
-    """Make the pages of some entries, or of all, their thumbnails, and the list of docs/gallery.md."""
+    """Make the pages of some entries, their thumbnails, and the list of docs/gallery.md."""
     thumbnails = DOCS / "images" / "gallery"
     for folder in (BUILT, thumbnails):
         folder.mkdir(parents=True, exist_ok=True)
     with browser_and_laboratory() as (browser, laboratory):
-        for name in chosen or GALLERY:
+        for name in chosen:
             path = laboratory.page(GALLERY[name])
             shutil.copyfile(path, BUILT / f"{name}.html")
             first, *more = first_screens(browser, path, IMAGES_OF_A_PERIOD if name == "demo" else 1)
@@ -231,4 +242,4 @@ def listing() -> str:
 
 if __name__ == "__main__":
     sys.path.insert(0, str(DOCS.parent / "benchmarks"))
-    make_gallery(sys.argv[1:])
+    make_gallery(names_to_make(GALLERY, __doc__))

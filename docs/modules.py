@@ -48,6 +48,9 @@ def _first_line(path: Path) -> str:
 
 if __name__ == "__main__":
     if folders := sys.argv[1:]:
+        if missing := [folder for folder in folders if not (ROOT / folder).is_dir()]:
+            print(f"docs/modules.py: expected folders of {ROOT}, found none: {', '.join(missing)}", file=sys.stderr)
+            sys.exit(2)
         for path in (path for folder in folders for path in _modules(ROOT / folder)):
             print(f"{path.relative_to(ROOT).as_posix():60s} {_first_line(path)}")
     else:

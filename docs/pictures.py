@@ -14,7 +14,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from gallery import GALLERY, Entry, Laboratory, browser_and_laboratory
+from gallery import GALLERY, Entry, Laboratory, browser_and_laboratory, names_to_make
 from PIL import Image
 from walkthrough import follow
 
@@ -75,28 +75,28 @@ TUTORIAL = {
 }
 """First screens of the pages that docs/tutorials/own-laboratory.md writes."""
 FIRST_SCREEN, SHOWN_WIDTH = {"width": WIDTH, "height": 830}, 900
+LOOK_PAGE = {"width": 1000, "height": 560}
 PLAN = "plan --frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211 --force --figure"
 
 
 def make_pictures(chosen: list[str]) -> None:
-    """Make the pictures of some names, or all."""
+    """Make the pictures of some names."""
     with browser_and_laboratory() as (browser, laboratory):
-        if not chosen or set(chosen) & set(TUTORIAL):
+        if set(chosen) & set(TUTORIAL):
             folder = laboratory.place / "tutorial"
             folder.mkdir()
             for step in follow(IMAGES.parent / "tutorials" / "own-laboratory.md", folder):
                 print(step.command)
             keep_first_screens(browser, folder)
-        for picture in [name for name in PICTURES if not chosen or name in chosen]:
+        for picture in [name for name in PICTURES if name in chosen]:
             entry, *ends = PICTURES[picture]
             _keep(browser, laboratory.page((GALLERY | FAULTY)[entry]), IMAGES / f"{picture}.png", *ends)
-        for name, draw in (("certificate", _certificate), ("viewer", _viewer), ("light", _light), ("live", _live)):
-            if not chosen or name in chosen:
-                draw(browser, laboratory)
-    if not chosen or "plan" in chosen:
+        for name in [name for name in DRAWN if name in chosen]:
+            DRAWN[name](browser, laboratory)
+    if "plan" in chosen:
         main([*PLAN.split(), str(IMAGES / "plan.png"), "-q"])
     for example in EXAMPLES:
-        if not chosen or example in chosen:
+        if example in chosen:
             script = IMAGES.parents[1] / "examples" / f"{example}.py"
             words = [sys.executable, str(script), str(IMAGES / f"{example}.png")]
             subprocess.run(words, cwd=IMAGES.parents[1], check=True)
@@ -105,13 +105,19 @@ def make_pictures(chosen: list[str]) -> None:
 def keep_first_screens(browser: Any, folder: Path) -> None:
     """Write the first screens of the tutorial's pages."""
     for name, path in TUTORIAL.items():
-        page = browser.new_page(viewport=FIRST_SCREEN)
-        page.goto((folder / path).as_uri())
-        page.wait_for_timeout(1500)
-        screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-        page.close()
+        screen = Image.open(io.BytesIO(_screen(browser, folder / path, FIRST_SCREEN, 1500))).convert("RGB")
         height = round(screen.height * SHOWN_WIDTH / screen.width)
         screen.resize((SHOWN_WIDTH, height), Image.Resampling.LANCZOS).save(IMAGES / f"{name}.webp", quality=80)
+
+
+def _screen(browser: Any, path: Path, size: dict[str, int], wait_ms: int = 500) -> bytes:
+    """Return the first screen of a page as a PNG file."""
+    page = browser.new_page(viewport=size)
+    page.goto(path.as_uri())
+    page.wait_for_timeout(wait_ms)
+    png: bytes = page.screenshot()
+    page.close()
+    return png
 
 
 def _keep(browser: Any, path: Path, picture: Path, first: str, last: str) -> None:
@@ -175,11 +181,7 @@ def _light(browser: Any, laboratory: Laboratory) -> None:
     page_file = laboratory.place / "light.html"
     main(["look", str(manifest.parent), "--page", str(page_file), "-q"])
     manifest.write_text(stated, encoding="utf-8")
-    page = browser.new_page(viewport={"width": 1000, "height": 560})
-    page.goto(page_file.as_uri())
-    page.wait_for_timeout(500)
-    _write(page.screenshot(), IMAGES / "light.png")
-    page.close()
+    _write(_screen(browser, page_file, LOOK_PAGE), IMAGES / "light.png")
 
 
 def _live(browser: Any, laboratory: Laboratory) -> None:
@@ -187,11 +189,7 @@ def _live(browser: Any, laboratory: Laboratory) -> None:
     laboratory.page(GALLERY["demo"])
     page_file, recording = laboratory.place / "live.html", laboratory.place / "demo" / "Fz-0080"
     main(["look", "--live", str(recording), "--rate", "38.345", "--until", "0.25", "--page", str(page_file), "-q"])
-    page = browser.new_page(viewport={"width": 1000, "height": 560})
-    page.goto(page_file.as_uri())
-    page.wait_for_timeout(500)
-    _write(page.screenshot(), IMAGES / "live.png")
-    page.close()
+    _write(_screen(browser, page_file, LOOK_PAGE), IMAGES / "live.png")
 
 
 def _viewer(browser: Any, laboratory: Laboratory) -> None:
@@ -212,5 +210,8 @@ def _viewer(browser: Any, laboratory: Laboratory) -> None:
     server.server_close()
 
 
+DRAWN = {"certificate": _certificate, "viewer": _viewer, "light": _light, "live": _live}
+
+
 if __name__ == "__main__":
-    make_pictures(sys.argv[1:])
+    make_pictures(names_to_make((*TUTORIAL, *PICTURES, *DRAWN, "plan", *EXAMPLES), __doc__))

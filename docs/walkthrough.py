@@ -18,6 +18,7 @@ Lines after `> ` are typed in reply to questions of `shakercal init`. A line `â€
 
 from __future__ import annotations
 
+import argparse
 import io
 import math
 import os
@@ -228,7 +229,15 @@ def _shakercal(words: list[str], typed: list[str]) -> tuple[int, str]:
 
 
 if __name__ == "__main__":
-    for done in follow(Path(sys.argv[1]).resolve(), Path(sys.argv[2])):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("page", type=Path)
+    parser.add_argument("folder", type=Path)
+    given = parser.parse_args()
+    if not given.page.is_file():
+        parser.error(f"page: expected a file, found none: {given.page}")
+    if not given.folder.is_dir():
+        parser.error(f"folder: expected a folder, found none: {given.folder}")
+    for done in follow(given.page.resolve(), given.folder):
         print(f"$ {done.command}\n{done.printed}", end="")
         if done.status or done.differences:
             print(f"[status {done.status}; not in the output: {done.differences}]")
