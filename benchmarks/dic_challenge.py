@@ -42,7 +42,7 @@ from dic_metrics import (
 )
 from dic_programs import PROGRAMS, Grid
 from dic_stereo import CASES, Case, Surface, epipolar_px, our_surface
-from marked import markdown_table, write_marked
+from marked import markdown_row, markdown_table, write_marked
 from numpy.typing import NDArray
 from tracking_programs import NOT_INSTALLED
 
@@ -140,18 +140,15 @@ def size_table(results: Results, title: str, cells: dict[tuple[str, int], str], 
     head = f"| {title} | {' | '.join(f'{side} px' for side in SIDES_PX)} |"
     programs = list(dict.fromkeys(program for program, _ in results))
     lines = [(program, *(cells.get((program, side), "–") for side in SIDES_PX)) for program in programs]
-    return markdown_table(head, first + [row(*line) for line in lines if set(line[1:]) != {"–"}])
-
-
-def row(*cells: str) -> str:
-    """Return one row of a table."""
-    return f"| {' | '.join(cells)} |"
+    return markdown_table(head, first + [markdown_row(*line) for line in lines if set(line[1:]) != {"–"}])
 
 
 def star_tables(results: Results) -> dict[str, str]:
     """Return the tables of the star by the names of their places in the page."""
     predicted = [
-        row(f"*least squares, {shape}*", *(f"{resolution_px(least_squares(side, order)):.1f}" for side in SIDES_PX))
+        markdown_row(
+            f"*least squares, {shape}*", *(f"{resolution_px(least_squares(side, order)):.1f}" for side in SIDES_PX)
+        )
         for shape, order in list(ORDERS.items())[1:]
     ]
     items = results.items()
@@ -231,7 +228,7 @@ def at_points(measured: Measured, used: NDArray[np.bool_]) -> Measured:
 def detail_row(measured: Measured) -> str:
     """Return bias and missing points of one program."""
     missing, longest = measured.missing
-    return row(
+    return markdown_row(
         measured.program,
         measured.version,
         with_u(1e3 * measured.bias, 1e3 * measured.resamples.bias, 1),
@@ -248,7 +245,7 @@ def stated_row(measured: Measured) -> str:
     beyond = wrong & (error > SIGMAS * measured.u_px).any(axis=1)
     counts = (measured.missing[0], wrong.sum(), beyond.sum())
     scatter = np.nanstd(measured.field.error[long, 0] / measured.u_px[long, 0])
-    return row(measured.program, f"{measured.side_px}", *map(str, counts), f"{scatter:.2f}")
+    return markdown_row(measured.program, f"{measured.side_px}", *map(str, counts), f"{scatter:.2f}")
 
 
 def peer_surface(package: Path, name: str, python: Path, results: Path) -> Surface:
@@ -274,13 +271,15 @@ def stereo_tables(package: Path, python: Path, results: Path) -> dict[str, str]:
         peer = peer_surface(package, name, python, results)
         found[name] = {OWN: our_surface(package, case, peer.points), "pyvale": peer}
     common = np.all([np.isfinite(each.position_mm).all(axis=2) for each in found["plate"].values()], axis=0)
-    plate = [row(program, *plate_cells(CASES["plate"], each, common)) for program, each in found["plate"].items()]
+    plate = [
+        markdown_row(program, *plate_cells(CASES["plate"], each, common)) for program, each in found["plate"].items()
+    ]
     both = np.isfinite([each.position_mm[0, :, 2] for each in found["challenge"].values()]).all(axis=0)
     specimen = []
     for program, each in found["challenge"].items():
         seen, off = np.isfinite(each.position_mm[0, :, 2]), np.abs(epipolar_px(package, CASES["challenge"], each))
         share = [f"{1e3 * value:.1f}" for value in (np.median(off[both]), np.percentile(off[both], 95))]
-        specimen.append(row(program, f"{seen.sum()} of {len(seen)}", *share))
+        specimen.append(markdown_row(program, f"{seen.sum()} of {len(seen)}", *share))
     apart = np.linalg.norm(np.subtract(*(each.position_mm[0] for each in found["challenge"].values())), axis=1)[both]
     limits = (f"{1e3 * np.median(apart):.2f} µm", f"{1e3 * np.percentile(apart, 95):.1f} µm")
     return {

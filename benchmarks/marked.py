@@ -18,6 +18,11 @@ def write_marked(page: Path, parts: Mapping[str, str]) -> None:
     page.write_text(text, encoding="utf-8", newline="\n")
 
 
+def markdown_row(*cells: str) -> str:
+    """Return a row of a table."""
+    return f"| {' | '.join(cells)} |"
+
+
 def markdown_table(head: str, rows: list[str]) -> str:
     """Return a table of its head and rows, each `| a | b |`."""
     return "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rows])
@@ -29,5 +34,5 @@ def short_table(
     """Return the table that a page shows: some columns of the rows whose cells are kept."""
     cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in (head, *rows)]
     chosen = [cells[0], *filter(keep, cells[1:])]
-    first, *others = ["| " + " | ".join(line[column] for column in columns) + " |" for line in chosen]
+    first, *others = [markdown_row(*(line[column] for column in columns)) for line in chosen]
     return markdown_table(first, others)

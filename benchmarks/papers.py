@@ -17,7 +17,7 @@ import numpy as np
 import papers_rows_load as loads
 import papers_rows_wrist as wrist
 import published_paper as paper
-from marked import write_marked
+from marked import markdown_row, markdown_table, write_marked
 from papers_rows import HOLDS, Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
 from shaker.identification.oscillator import PeakReadings
@@ -91,8 +91,7 @@ def _minus(text: str) -> str:
 
 def _table(head: tuple[str, ...], rows: list[Row] | list[tuple[str, ...]]) -> list[str]:
     """Return a table, with typographic minus signs before numbers."""
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head), *(f"| {' | '.join(row)} |" for row in rows)]
-    return [_minus(line) if "---" not in line else line for line in lines]
+    return markdown_table(markdown_row(*head), [_minus(markdown_row(*row)) for row in rows]).split("\n")
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import published_figures as figures
 import published_paper as paper
-from marked import write_marked
+from marked import markdown_row, markdown_table, write_marked
 from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
@@ -100,8 +100,8 @@ def told(value: float, expanded: float, unit: str = "") -> str:
 
 def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """Return a Markdown table with typographic minus signs before numbers."""
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head), *(f"| {' | '.join(row)} |" for row in rows)]
-    return "\n".join(re.sub(r"(?<![\w.)|-])-(?=\d)", MINUS, line) for line in lines)
+    text = markdown_table(markdown_row(*head), [markdown_row(*row) for row in rows])
+    return re.sub(r"(?<![\w.)|-])-(?=\d)", MINUS, text)
 
 
 def table_1(twin: Twin) -> str:

@@ -39,7 +39,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from marked import markdown_table, short_table, write_marked
+from marked import markdown_row, markdown_table, short_table, write_marked
 from numpy.typing import NDArray
 from speckle_plane import Motion, Plane, gradients, render, speckled_plane
 from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
@@ -122,10 +122,10 @@ def main() -> None:
             clean = record(other, Path(scratch) / f"{dot_px}px", 1, 65535, 0.0, rng)
             for name in own:
                 exact[name].append(told(clean_cell(name, clean, pythons[name], options.threads)))
-    head = row("bias without noise / mpx", *(f"dots of {dot_px} px" for dot_px in DOTS_PX))
+    head = markdown_row("bias without noise / mpx", *(f"dots of {dot_px} px" for dot_px in DOTS_PX))
     tables = {
         "tracking": markdown_table(NOISY_HEAD, list(filter(None, rows))),
-        "interpolation": markdown_table(head, [row(*cells) for cells in exact.values()]),
+        "interpolation": markdown_table(head, [markdown_row(*cells) for cells in exact.values()]),
     }
     print("\n\n".join(tables.values()))
     if options.docs:
@@ -200,7 +200,7 @@ def noisy_row(name: str, recording: Recording, python: Path, threads: int) -> st
         return ""
     points = result.error[..., 0].size
     relative = result.error / bound(recording, result.centres)
-    return row(
+    return markdown_row(
         f"{name} ({result.version})",
         f"{1e6 * result.user_s / points:.3g}",
         f"{pair_scatter(relative):.3f}",
@@ -235,7 +235,7 @@ def rounding_rows(rng: np.random.Generator) -> list[str]:
             scatter = [f"{np.sqrt(np.nanmean(np.nanvar(error / limit, axis=1))):.5f}" for error in errors]
             apart = np.nanmax(np.abs(errors[1] - errors[0])) / MPX
             cells = [name, f"{degree}", *bias, f"{apart:.4f}", *(["–", "–"] if name == "none" else scatter)]
-            rows.append(row(*cells))
+            rows.append(markdown_row(*cells))
     return rows
 
 
@@ -299,11 +299,6 @@ def told(line: str) -> str:
     """Return a row, shown as soon as it is there: all take a quarter of an hour."""
     print(line, file=sys.stderr, flush=True)
     return line
-
-
-def row(*cells: str) -> str:
-    """Return one row of a table."""
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":
