@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
 from style import RC, write_drawing
 
 
-def main() -> None:
+def draw(arguments: list[str]) -> None:
     """Write the drawings of some names, or all."""
     parser = argparse.ArgumentParser(prog="docs/drawings", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME")
-    names = parser.parse_args().names
+    names = parser.parse_args(arguments).names
     modules = sorted(path.stem for path in Path(__file__).parent.glob("*.py") if path.stem not in ("__main__", "style"))
     drawings = {
         function.__name__: function for module in modules for function in importlib.import_module(module).DRAWINGS
@@ -31,4 +32,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    draw(sys.argv[1:])
