@@ -14,7 +14,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from marked import markdown_table, write_marked
+from marked import existing_file, markdown_table, write_marked
 
 from fusion.cameras.accept.acceptance_evaluation import AcceptanceEvaluation, evaluate_acceptance
 from fusion.cameras.accept.acceptance_manifest import FEWEST_STATIONARY, read_acceptance
@@ -85,7 +85,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     options = parser.parse_args()
     rows = []
     for case in options.only:

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from marked import short_table, write_marked
+from marked import existing_file, short_table, write_marked
 from numpy.typing import NDArray
 
 from photogram.calibration.bundle import model_pixels
@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument(
         "--target", choices=(*BOARDS, "faults", "held", "real"), help="one of the targets (default: all)"
     )
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the table of faults in a page")
+    parser.add_argument("--write", type=existing_file, metavar="PAGE", help="replace the table of faults in a page")
     parser.add_argument("--amount", type=float, default=0.0, help="of an unsharp mask, σ = 1 px, on all pictures")
     parser.add_argument("--rigs", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="seed of the first pair")

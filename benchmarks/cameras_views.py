@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from marked import markdown_table, write_marked
+from marked import existing_file, markdown_table, write_marked
 from numpy.typing import NDArray
 
 from fusion.estimation.coverage import coverage_factor
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--only", nargs="*", default=["arrangements", "coverage"])
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     options = parser.parse_args()
     parts = {}
     if "arrangements" in options.only:

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from marked import markdown_table, write_marked
+from marked import existing_file, markdown_table, write_marked
 from numpy.typing import NDArray
 from signals_clock import Rise, charging, ideal, ramp, sampled, step
 
@@ -329,7 +329,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--only", default="")
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     options = parser.parse_args()
     print(HEAD)
     found = [rows(name, options.draws, print) for name in CASES if options.only in name]

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 from fusion.cli import main as shakercal
 
@@ -120,7 +120,7 @@ def main() -> None:
     parser.add_argument("--before", type=Path, help="another checkout, measured in turn with this one")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--keep", type=Path, help="folder for what is simulated")
-    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
+    parser.add_argument("--docs", type=existing_folder, help="folder of performance.md, whose table is replaced")
     options = parser.parse_args()
     checkouts = [ROOT, *([options.before.resolve()] if options.before else [])]
     with tempfile.TemporaryDirectory() as scratch:

@@ -42,7 +42,7 @@ from dic_metrics import (
 )
 from dic_programs import PROGRAMS, Grid
 from dic_stereo import CASES, Case, Surface, epipolar_px, our_surface
-from marked import markdown_row, markdown_table, write_marked
+from marked import existing_file, existing_folder, markdown_row, markdown_table, write_marked
 from numpy.typing import NDArray
 from tracking_programs import NOT_INSTALLED
 
@@ -326,9 +326,9 @@ def write_metrics(results: Results, path: Path) -> None:
 def main() -> None:
     """Run all programs, print the tables, and write tables and figures into the documents if their folder is named."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--package", type=Path, required=True)
-    parser.add_argument("--peer-python", type=Path)
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--package", type=existing_folder, required=True)
+    parser.add_argument("--peer-python", type=existing_file)
+    parser.add_argument("--docs", type=existing_folder)
     parser.add_argument("--results", type=Path)
     options = parser.parse_args()
     package = options.package.resolve()

@@ -27,7 +27,7 @@ from unittest.mock import patch
 import numpy as np
 import torch
 from large_recording import POSES, SIDES, camera_folder, cameras_from_world, sequence_of, setups, write_recording
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 from photogram.device import resolve_device
 from photogram.direct import direct_fit, fit_torch
@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--frames", type=int, default=1025)
     parser.add_argument("--keep", type=Path, help="folder for the pictures, kept and used again")
-    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose tables are replaced")
+    parser.add_argument("--docs", type=existing_folder, help="folder of performance.md, whose tables are replaced")
     options = parser.parse_args()
     device = resolve_device(options.device)
     with tempfile.TemporaryDirectory() as scratch:

@@ -14,10 +14,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 from numpy.typing import NDArray
 
 from fusion.simulate.preset import Preset, face_of, read_preset
@@ -272,7 +271,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=4)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--docs", type=existing_folder)
     options = parser.parse_args()
     rows = list[str]()
     print(HEAD)

@@ -28,7 +28,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 PRESET, RECORDING, CAMERAS, RATE_HZ = "nitsche2018", "Fz-0106.25", 4, 48.345
 STAGES = {
@@ -133,7 +133,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, nargs="+", default=[53, 106, 211, 422])
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--keep", type=Path, help="folder for the recordings")
-    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose tables are replaced")
+    parser.add_argument("--docs", type=existing_folder, help="folder of performance.md, whose tables are replaced")
     parser.add_argument("--one", type=Path, nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--staged", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

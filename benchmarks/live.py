@@ -29,7 +29,7 @@ from threading import Thread
 
 import tifffile
 from large_recording import setups
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 from fusion.planning.look.live import START_FRAMES, LiveEvaluation, LiveFrame
 from fusion.planning.look.live_command import EVALUATION_SHARE
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for the recording, kept and used again")
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--docs", type=existing_folder)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         source = options.keep or Path(scratch)

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from coverage_statistics import Tally
-from marked import markdown_table, write_marked
+from marked import existing_file, markdown_table, write_marked
 
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.multisine import BAND_HZ, LINES, PEAK_MPS2, many_lines, rocking_motion
@@ -194,6 +194,6 @@ if __name__ == "__main__":
     parser.add_argument("--fits", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=["fits", "recordings"], choices=["fits", "recordings"])
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the tables in a page")
+    parser.add_argument("--write", type=existing_file, metavar="PAGE", help="replace the tables in a page")
     options = parser.parse_args()
     main(options.draws, options.fits, options.seed, options.only, options.write)

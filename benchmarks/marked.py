@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+
+
+def existing_file(text: str) -> Path:
+    """Return the path of an option; an argument error if there is no such file, before anything is measured."""
+    if not Path(text).is_file():
+        raise ArgumentTypeError(f"expected a file, found none: {text}")
+    return Path(text)
+
+
+def existing_folder(text: str) -> Path:
+    """Return the path of an option; an argument error if there is no such folder, before anything is measured."""
+    if not Path(text).is_dir():
+        raise ArgumentTypeError(f"expected a folder, found none: {text}")
+    return Path(text)
 
 
 def write_marked(page: Path, parts: Mapping[str, str]) -> None:

@@ -25,7 +25,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from marked import write_marked
+from marked import existing_file, write_marked
 from violations import RIGS, opening, preset_of
 
 from fusion.base import Settings
@@ -496,7 +496,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--rig", choices=RIG_NAMES)
     parser.add_argument("--blind", action="store_true", help="the second list, whose words were chosen beforehand")
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     options = parser.parse_args(argv)
     lines = [HEAD]
     with tempfile.TemporaryDirectory() as scratch:

@@ -22,7 +22,7 @@ from unittest.mock import patch
 
 import numpy as np
 from drawn_motion import make_template, unrendered
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 from fusion import evaluate_recording, load_manifest, simulate_preset
 from fusion.report.tables import sensitivity_element
@@ -160,7 +160,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=160)
     parser.add_argument("--scale", type=float, default=1.0, help="of the pictures")
     parser.add_argument("--drawn", action="store_true", help="without rendering")
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--docs", type=existing_folder)
     options = parser.parse_args()
     if options.drawn:
         mark = f"{options.case}, drawn"

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from marked import write_marked
+from marked import existing_file, write_marked
 from numpy.typing import NDArray
 
 from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
@@ -303,7 +303,7 @@ def real_views() -> tuple[list[ViewPair], Target] | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=8)
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the table in a page")
+    parser.add_argument("--write", type=existing_file, metavar="PAGE", help="replace the table in a page")
     options = parser.parse_args()
     if not has_mrcal():
         print(f"{INTERPRETER} has no mrcal (packages mrcal, python3-mrcal; MRCAL_PYTHON): nothing compared")

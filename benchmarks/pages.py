@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 from playwright.sync_api import sync_playwright
 
 from fusion.campaign import joint_report
@@ -67,7 +67,7 @@ def answers(browser: Any, path: Path) -> float:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--docs", type=existing_folder)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, sync_playwright() as started:
         browser = started.chromium.launch(executable_path=find_browser(), args=["--no-sandbox"])

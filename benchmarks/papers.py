@@ -10,14 +10,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from math import pi
-from pathlib import Path
 from re import sub
 
 import numpy as np
 import papers_rows_load as loads
 import papers_rows_wrist as wrist
 import published_paper as paper
-from marked import markdown_row, markdown_table, write_marked
+from marked import existing_folder, markdown_row, markdown_table, write_marked
 from papers_rows import HOLDS, Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
 from shaker.identification.oscillator import PeakReadings
@@ -97,7 +96,7 @@ def _table(head: tuple[str, ...], rows: list[Row] | list[tuple[str, ...]]) -> li
 def main() -> None:
     """Print the tables, and write them where asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--docs", type=Path, help="folder of papers.md, whose tables are replaced")
+    parser.add_argument("--docs", type=existing_folder, help="folder of papers.md, whose tables are replaced")
     options = parser.parse_args()
     parts = tables()
     print("\n\n".join("\n".join((name, "", *lines)) for name, lines in parts.items()))

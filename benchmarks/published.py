@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import published_figures as figures
 import published_paper as paper
-from marked import markdown_row, markdown_table, write_marked
+from marked import existing_folder, markdown_row, markdown_table, write_marked
 from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
@@ -271,7 +271,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for the simulations, kept and used again")
-    parser.add_argument("--docs", type=Path, help="folder of nitsche2018.md, whose tables and pictures are replaced")
+    parser.add_argument(
+        "--docs", type=existing_folder, help="folder of nitsche2018.md, whose tables and pictures are replaced"
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         keep = options.keep or Path(scratch)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from marked import short_table, write_marked
+from marked import existing_file, short_table, write_marked
 from numpy.typing import NDArray
 
 from fusion.estimation.fuse import fuse
@@ -299,7 +299,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     parser.add_argument("--rendered", type=int, default=2, metavar="SEEDS")
     options = parser.parse_args()
     chosen = [case for case in CASES if not options.only or case.name in options.only]

@@ -18,7 +18,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-from marked import short_table, write_marked
+from marked import existing_file, short_table, write_marked
 from numpy.typing import NDArray
 
 from fusion.base import Settings
@@ -180,6 +180,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=int, default=3)
     parser.add_argument("--only", choices=("rows", "blur"))
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     arguments = parser.parse_args()
     main(arguments.recordings, arguments.only, arguments.write)

@@ -39,7 +39,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from marked import markdown_row, markdown_table, short_table, write_marked
+from marked import existing_file, existing_folder, markdown_row, markdown_table, short_table, write_marked
 from numpy.typing import NDArray
 from speckle_plane import Motion, Plane, gradients, render, speckled_plane
 from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
@@ -97,11 +97,17 @@ def main() -> None:
     """Render, run the programs asked for, print both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--programs", nargs="+", default=list(PROGRAMS), choices=PROGRAMS, metavar="NAME")
-    parser.add_argument("--peer-python", type=Path, default=Path(sys.executable), help="interpreter with the peers")
+    parser.add_argument(
+        "--peer-python", type=existing_file, default=Path(sys.executable), help="interpreter with the peers"
+    )
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--recordings", type=int, default=3)
-    parser.add_argument("--docs", type=Path, metavar="FOLDER", help="folder of performance.md, which gets the tables")
-    parser.add_argument("--rounding", type=Path, metavar="PAGE", help="write the table of float32 there, and end")
+    parser.add_argument(
+        "--docs", type=existing_folder, metavar="FOLDER", help="folder of performance.md, which gets the tables"
+    )
+    parser.add_argument(
+        "--rounding", type=existing_file, metavar="PAGE", help="write the table of float32 there, and end"
+    )
     options = parser.parse_args()
     if options.rounding:
         head = "| noise | degree | bias in mpx, float64 | float32 | a subset, mpx | std/bound, float64 | float32 |"

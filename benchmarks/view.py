@@ -29,7 +29,7 @@ from urllib.parse import urlencode, urlsplit
 import h5py
 import numpy as np
 import tifffile
-from marked import markdown_table, write_marked
+from marked import existing_folder, markdown_table, write_marked
 
 from fusion.planning.view.server import Server
 from fusion.planning.view.view_requests import api_handlers
@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--channels", type=int, default=16)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--browser", help="path of a Chromium")
-    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
+    parser.add_argument("--docs", type=existing_folder, help="folder of performance.md, whose table is replaced")
     options = parser.parse_args()
     rng = np.random.default_rng(2)
     with tempfile.TemporaryDirectory() as folder:

@@ -21,7 +21,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from marked import write_marked
+from marked import existing_file, write_marked
 from numpy.typing import NDArray
 from scipy.stats import binom
 
@@ -395,7 +395,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--only", nargs="*", default=None)
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=existing_file)
     options = parser.parse_args(arguments)
     chosen = [case for case in CASES if options.only is None or set(case[1]) & set(options.only)]
     print(HEAD)
