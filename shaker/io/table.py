@@ -43,10 +43,10 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     head = find_head(path)
     times = head.times
     channels = [i for i, name in enumerate(head.names) if name and i not in times]
-    present = {head.names[i]: i for i in channels}
+    present, short = {head.names[i]: i for i in channels}, head.short
     chosen = [i for i in channels if i not in head.texts or names is not None]
     requested = [head.names[i] for i in chosen] if names is None else names
-    columns_by_name = select_by_either_name(path, requested, present, [head.short[i] for i in channels])
+    columns_by_name = select_by_either_name(path, requested, present, [short[i] for i in channels])
     time_of = {i: max((t for t in times if t < i), default=times[0]) if times else None for i in channels}
     needed = {time_of[i] for i in columns_by_name.values()}
     numeric = {t for t in needed if t is not None and t not in head.stamped}
