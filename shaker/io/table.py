@@ -25,7 +25,7 @@ from shakercal._common.arrays import FloatArray
 _COMMENT = "#"
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # since 1970: numbers above which times have this unit
 _DAYS, _SHORT = (36526, 73050), 1e-6  # of the years 2000 to 2100; mean step below which numbers are days, not s
-_NUMBER_FIRST = re.compile(rb"^[\s\"]*[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?[\s\";,|]*(?:[-+\d\"]|$)", re.MULTILINE)
+_NUMBER_FIRST = re.compile(rb"^[ \t\"]*[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?[ \t\r\";,|]*(?:[-+\d\"]|$)", re.MULTILINE)
 _LEAST_ROWS = 8  # of a text file that is a table
 
 
