@@ -33,7 +33,7 @@ _UNITS = re.compile(
     re.IGNORECASE,
 )
 _TRAILING = re.compile(
-    r"(.*?[^\W_]\)?)(?:[ _](?=\S*/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
+    r"(.*?[^\W_]\)?)(?:[ _](?=\S{1,3}/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
     r"([cmµμun]?m/s(?:\^?2|²)?|[mµμu]?V/V|(?:°|deg|rad)/s|[mµμun]s|[mµμu]?V|[µμum]m|[mk]?N|Nm|g)"
 )
 _SLASHED = re.compile(rf"(.*?\S)\s*(?:/|,|:|\bin\b)\s*({_UNITS.pattern})", re.IGNORECASE)
