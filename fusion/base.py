@@ -36,6 +36,12 @@ def count_text(count: int, what: str) -> str:
     return f"{count} {what.removesuffix('y')}ies" if what.endswith("cy") else f"{count} {what}s"
 
 
+def list_names(names: Sequence[str], most: int) -> str:
+    """Return names as text, only the first ones of many."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 # Files of a command: unchanged inputs, new outputs.
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion.base import count_text
 from fusion.errors import ComputeError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.stereo import StereoReading
@@ -313,7 +314,7 @@ def _state(shift: int) -> str:
 
 def _frames(count: int) -> str:
     """Return a number of frames in words, without its sign."""
-    return f"{abs(count)} frame{'s' if abs(count) > 1 else ''}"
+    return count_text(abs(count), "frame")
 
 
 def _of_all_frames(

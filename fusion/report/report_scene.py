@@ -14,7 +14,7 @@ import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
-from fusion.base import PROGRAM, __version__, prefix
+from fusion.base import PROGRAM, __version__, list_names, prefix
 from fusion.errors import InputError
 from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
@@ -552,12 +552,6 @@ def rig_page(manifests: Sequence[Manifest]) -> str:
     for manifest in manifests:
         page = scene_page(rig_scene(manifest))
         scenes.setdefault(page.json, ([], page))[0].append(manifest.name)
-    shown = [(_listed(names), page) for names, page in scenes.values()]
+    shown = [(list_names(names, MOST_NAMES), page) for names, page in scenes.values()]
     context = {"rig": manifests[0].rig.name, "scenes": shown, "program": f"{PROGRAM} {__version__}"}
     return render_page("rig.html", context)
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return the names of recordings with the same rig, only the first few of many."""
-    more = len(names) - MOST_NAMES
-    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fusion.base import list_names
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensitivity.disturbances import SURROUNDINGS
 from fusion.sensitivity.moving_body import moving_parts
@@ -28,10 +29,11 @@ def exact_inputs(manifest: Manifest, entries: Sequence[ChannelEntry]) -> str:
 
     `entries`: recorded channels. Channels of the base and inputs that the result does not use are left out.
     """
-    found: dict[str, dict[str, None]] = {}
+    found: dict[str, dict[str, None]] = {quantity: {} for quantity in QUANTITIES}
     for quantity, name in (*_of_channels(entries), *_of_pairs(manifest), *_of_parts(manifest)):
-        found.setdefault(quantity, {})[name] = None
-    return "; ".join(f"{quantity} of {_listed(tuple(names))}" for quantity, names in sorted(found.items(), key=_place))
+        found[quantity][name] = None
+    groups = ((quantity, list_names(tuple(names), MOST_NAMES)) for quantity, names in found.items() if names)
+    return "; ".join(f"{quantity} of {names}" for quantity, names in groups)
 
 
 def exact_inputs_notice(manifest: Manifest, entries: Sequence[ChannelEntry]) -> Iterator[Notice]:
@@ -39,16 +41,6 @@ def exact_inputs_notice(manifest: Manifest, entries: Sequence[ChannelEntry]) -> 
     inputs = exact_inputs(manifest, entries) if manifest.rig.sensor is not None else ""
     if inputs:
         yield Notice(EXACT_INPUTS, SURROUNDINGS, inputs=inputs)
-
-
-def _place(group: tuple[str, dict[str, None]]) -> int:
-    return QUANTITIES.index(group[0])
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as text; many are counted."""
-    left = len(names) - MOST_NAMES
-    return ", ".join(names[:MOST_NAMES]) + (f" and {left} more" if left > 0 else "")
 
 
 def _of_channels(entries: Sequence[ChannelEntry]) -> Iterator[tuple[str, str]]:

@@ -25,7 +25,7 @@ from shakercal._common.arrays import FloatArray
 _COMMENT = "#"
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # since 1970: numbers above which times have this unit
 _DAYS, _SHORT = (36526, 73050), 1e-6  # of the years 2000 to 2100; mean step below which numbers are days, not s
-_NUMBER_FIRST = re.compile(rb"^[\s\"]*[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?[\s\";,|]*(?:[-+\d\"]|$)", re.MULTILINE)
+_NUMBER_FIRST = re.compile(rb"^[ \t\"]*[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?[ \t\r\";,|]*(?:[-+\d\"]|$)", re.MULTILINE)
 _LEAST_ROWS = 8  # of a text file that is a table
 
 
@@ -43,10 +43,10 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     head = find_head(path)
     times = head.times
     channels = [i for i, name in enumerate(head.names) if name and i not in times]
-    present = {head.names[i]: i for i in channels}
+    present, short = {head.names[i]: i for i in channels}, head.short
     chosen = [i for i in channels if i not in head.texts or names is not None]
     requested = [head.names[i] for i in chosen] if names is None else names
-    columns_by_name = select_by_either_name(path, requested, present, [head.short[i] for i in channels])
+    columns_by_name = select_by_either_name(path, requested, present, [short[i] for i in channels])
     time_of = {i: max((t for t in times if t < i), default=times[0]) if times else None for i in channels}
     needed = {time_of[i] for i in columns_by_name.values()}
     numeric = {t for t in needed if t is not None and t not in head.stamped}

@@ -33,10 +33,11 @@ _UNITS = re.compile(
     re.IGNORECASE,
 )
 _TRAILING = re.compile(
-    r"(.*?[^\W_]\)?)(?:[ _](?=\S*/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
+    r"(.*?[^\W_]\)?)(?:[ _](?=\S{1,3}/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
     r"([cmµμun]?m/s(?:\^?2|²)?|[mµμu]?V/V|(?:°|deg|rad)/s|[mµμun]s|[mµμu]?V|[µμum]m|[mk]?N|Nm|g)"
 )
 _SLASHED = re.compile(rf"(.*?\S)\s*(?:/|,|:|\bin\b)\s*({_UNITS.pattern})", re.IGNORECASE)
+_VOLTS_PER = re.compile(r".*(?:[mµμu]|\d\s?)V\s*/\s*(?!V$)(?:\([^()]*\)|[^\s/()\]>}]+)")  # ICP 100 mV/g: in V
 _NUMBER = r"([-+]?\d+(?:[., '\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _RATE = re.compile(
     r"(?:sampl\w*|scan|abtast|mess|acquisition|update|daten|data)[ _-]*(?:rate|freq\w*)|^\W*(?:fs|f_s|rate)\b"
@@ -443,8 +444,10 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 def split_unit(name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit.
 
-    Such as `Fz [N]`, `Fz (N)`, `Fz / N`, `t_s`.
+    Such as `Fz [N]`, `Fz (N)`, `Fz / N`, `t_s`. Volts per unit are none: `ICP 100 mV/g` is read in V.
     """
+    if _VOLTS_PER.fullmatch(name):
+        return name, ""
     match = _NAME_AND_UNIT.fullmatch(name)
     if match:
         return match[1], next((unit for unit in match.groups()[1:] if unit), "").strip()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from shaker.io import read_channels
+from shaker.io.channel import RawChannel
 from shaker.release.record import StepRecord
 
 
@@ -49,6 +50,14 @@ def read_step_record(
     if len(channels) != 1:
         raise ValueError(f"{path}: channel: expected one of {', '.join(channels)}, found none")
     ((name, raw),) = channels.items()
+    return step_record(path, name, raw, amplitude)
+
+
+def step_record(path: str | Path, name: str, raw: RawChannel, amplitude: float = 1.0) -> StepRecord:
+    """Return the record of one release from a channel of a file.
+
+    Raises `ValueError` if samples are missing or unevenly spaced.
+    """
     if raw.stamp_s is not None:
         raise ValueError(f"{path}: {name}: expected evenly spaced samples, found {raw.gap}")
     if missing := np.count_nonzero(~np.isfinite(raw.samples)):

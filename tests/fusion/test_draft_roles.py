@@ -112,6 +112,17 @@ def test_a_sensitivity_in_a_name_is_the_scale(name, quantity, scale):
     assert guess_channel(FoundChannel(name, "m/s", 1e3, 100, -1.0, 1.0, None)).scale != pytest.approx(scale)
 
 
+def test_volts_per_unit_in_the_name_of_a_column_are_no_unit_of_its_numbers(tmp_path):
+    names = ("VIB 25 mm/s/V", "ICP 100 mV/g", "Acc 10.2 mV/(m/s²)", "ai3 4 mV/N", "bridge mV/V")
+    rows = "".join(f"{t:.4f}{5 * f';{np.sin(503 * t):.5f}'}\n" for t in TIME[:400])
+    (tmp_path / "a.csv").write_text(f"Zeit;{';'.join(names)}\n" + rows)
+    (found,) = survey_folder(tmp_path).daqs
+    units = [found.raw[name].unit for name in names]
+    assert units == ["V", "", "", "", "mV/V"]
+    made = [guess_channel(channel).scale for channel in found.channels if channel.name in names[:4]]
+    assert made == [pytest.approx(scale) for scale in (0.025, 9.80665 / 0.1, 1.0 / 10.2e-3, 250.0)]
+
+
 @pytest.mark.parametrize(
     ("name", "component"),
     [

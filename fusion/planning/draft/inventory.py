@@ -8,12 +8,13 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fusion.base import natural_key
+from fusion.base import FileIdentity, natural_key
 from fusion.planning.draft.camera_pairs import FoundCameras, pair_cameras
 from fusion.planning.draft.image_series import FoundCamera, find_cameras, find_images
 from fusion.recording.manifest import SCAN
@@ -210,7 +211,15 @@ def recorder_folder(folder: Path) -> Path | None:
 def _is_recorder_file(path: Path) -> bool:
     """Return whether a file is a recorder's, by its suffix or its table."""
     suffix = path.suffix.lower()
-    return (suffix in SUFFIXES and suffix not in TEXTS) or (suffix not in OTHER_FILES and is_table(path))
+    return (suffix in SUFFIXES and suffix not in TEXTS) or (
+        suffix not in OTHER_FILES and _is_table(path, FileIdentity.of(path))
+    )
+
+
+@lru_cache(maxsize=1024)
+def _is_table(path: Path, _identity: FileIdentity | None) -> bool:
+    """Return whether an unchanged file is a table; `init` asks several times."""
+    return is_table(path)
 
 
 def _is_result(path: Path) -> bool:

@@ -16,7 +16,7 @@ from fusion.sensor import model_notices as declared
 from fusion.sensor.step.step_records import StepSettings
 from fusion.sensor.step.step_releases import FAILURES
 from shaker.io import read_channels
-from shaker.release.record_file import read_step_record
+from shaker.release.record_file import step_record
 from shaker.release.step_fit import StepFit, fit_step
 from shakercal._common.digits import quantity_text
 from shakercal._common.notices import Notice
@@ -75,7 +75,7 @@ def print_poles(paths: Sequence[Path], settings: StepSettings) -> None:
     for path in paths:
         reasons, before = list[str](), len(poles)
         with as_input_error(path):
-            records = [read_step_record(path, channel) for channel in read_channels(path)]
+            records = [step_record(path, name, raw) for name, raw in read_channels(path).items()]
         for record in records:
             (channel,) = record.channels
             try:
