@@ -463,8 +463,9 @@ def _cameras_only(path: Path, allow_outside: bool) -> Manifest:
         found = "[[take]] blocks" if text.get("take") else "no [[images]]"
         raise InputError(LIVE_NOT_POSSIBLE, path, "images", found=found, expected="[[images]] of one set-up")
     with tempfile.TemporaryDirectory() as folder:
-        names = {block.get("trigger") for block in blocks if isinstance(block, dict)}
-        channels = [{"name": name, "quantity": "trigger"} for name in names if name is not None]
+        names = [block.get("trigger") for block in blocks if isinstance(block, dict)]
+        triggers = {name for name in names if isinstance(name, str)} or {IN_MEMORY}  # the block without is refused
+        channels = [{"name": name, "quantity": "trigger"} for name in triggers]
         clock: dict[str, Any] = {"name": IN_MEMORY, "clock_uncertainty": RATE_UNCERTAINTY, "channel": channels}
         text |= {"daq": [clock | {"file": _placeholder(folder, "clock")}], "points": []}
         text["images"] = [

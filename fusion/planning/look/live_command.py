@@ -108,24 +108,30 @@ def run_live(path: Path, options: LiveOptions) -> bool:
     Returns whether the aim is reached, True without one.
     """
     recording = find_single_recording(path)
+    begun = _begin(recording, options)
     with nullcontext() if options.page is None else WatchedPage(options.page) as page:
         output = LiveOutput(options, page)
         with cleanup_on_signal(output.close):
-            while True:
-                reached = _follow(recording, options, output)
-                if reached is not None:
-                    return reached
+            while (reached := _follow(recording, *begun, options, output)) is None:
                 output.line("The folder was emptied: the evaluation begins anew.", "restart")
+                begun = _begin(recording, options)
+            return reached
 
 
-def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
+def _begin(recording: Path, options: LiveOptions) -> tuple[FolderFrames, LiveEvaluation]:
+    """Return the folders and the evaluation of a recording; refuse it before a page is written."""
+    recorder_files(recording)
+    frames = FolderFrames(recording)
+    return frames, LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside)
+
+
+def _follow(
+    recording: Path, frames: FolderFrames, evaluation: LiveEvaluation, options: LiveOptions, output: LiveOutput
+) -> bool | None:
     """Follow a series; return whether the aim is reached, None for an emptied folder."""
-    frames, last_s, due_s, tried = FolderFrames(recording), time.monotonic(), 0.0, object()
+    last_s, due_s, tried = time.monotonic(), 0.0, object()
     begun_s, job = 0.0, None
-    with (
-        LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside) as evaluation,
-        ThreadPoolExecutor(1) as worker,
-    ):
+    with evaluation, ThreadPoolExecutor(1) as worker:
         while not frames.emptied:
             new = frames.take(BLOCK_FRAMES)
             for frame in new:
@@ -157,11 +163,12 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
 
 def _identities(recording: Path) -> object:
     """Return the identities of the recorders' files, None while one is missing or grows."""
-    before = [FileIdentity.of(path) for path in recorder_files(recording)]
+    files = recorder_files(recording)
+    before = [FileIdentity.of(path) for path in files]
     if not before or None in before:
         return None
     time.sleep(POLL_S)
-    return before if before == [FileIdentity.of(path) for path in recorder_files(recording)] else None
+    return before if before == [FileIdentity.of(path) for path in files] else None
 
 
 def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
