@@ -1,4 +1,4 @@
-"""The command `shakercal plan`, and the outputs of a command with one figure and one table."""
+"""The command `shakercal plan`, and outputs of commands with a figure and a table."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def write_figure(file: Path, draw: Callable[[str], bytes]) -> None:
 
 
 def show_table(options: argparse.Namespace, name: str, text: str, print_text: Callable[[], None]) -> None:
-    """Write the table of a command to a file if requested; print its rows as JSON, or a text."""
+    """Write a table if requested; print its rows as JSON, or a text."""
     from fusion.report.atomic_files import write_atomically
     from fusion.report.folder import command_json
     from fusion.report.table import csv_rows

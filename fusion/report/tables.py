@@ -34,7 +34,6 @@ from fusion.report.table import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
-from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
@@ -49,9 +48,8 @@ def driven_component(evaluation: Evaluation) -> int:
     It is the largest element of the excitation's direction, forces and moments relative to the rated loads; if no
     direction is stated, the largest translation.
     """
-    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
-    if direction is not None:
-        return driven_load(direction, None if sensor is None else sensor.capacity)
+    if evaluation.stated_component is not None:
+        return evaluation.stated_component
     sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
     moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
     return int(np.argmax(moves.max(axis=0)))

@@ -28,7 +28,6 @@ from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.manifest import Images
 from fusion.recording.toml import read_toml
-from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
 from photogram.frame_statistics import spread_choice
 from photogram.images.sequence import FrameNumbers, GreyImage, ImageSequence, full_scale_of
@@ -338,8 +337,6 @@ class LiveEvaluation:
         lines = _lines(self.manifest, base, motions, self.lines_hz)
         measured = fit_motions(PreparedSetUp("", "", self.manifest, base, (), (), lines), motions)
         evaluation = evaluate_set_ups(self.manifest, [measured], self.settings)
-        direction, sensor = self.manifest.excitation.direction, self.manifest.rig.sensor
-        driven = None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
         for found in (one for one in evaluation.accelerations if one.source == "fused"):
             relative = found.uncertainty.relative_to(found.phasors.value)
             fitted = [np.einsum("ki,kj->kij", one.effect, one.effect) for one in relative.influences if one.type == "A"]
@@ -359,7 +356,7 @@ class LiveEvaluation:
                             polar.k,
                             float(np.sqrt(noise)),
                             float(np.sqrt(max(whole - noise, 0.0))),
-                            c == driven and bool(evaluation.lines.multiple[line] == 1),
+                            c == evaluation.stated_component and bool(evaluation.lines.multiple[line] == 1),
                         )
 
     def _motion(self, pair: _LivePair, base: TimeBase, edges: IntArray) -> StereoMotion:

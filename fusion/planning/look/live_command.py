@@ -22,7 +22,6 @@ from fusion.planning.look.look import LiveHeading, WatchedPage
 from fusion.recording.load import find_single_recording, load_manifest
 from fusion.report.terminal import print_text, printable
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
 from shakercal._common.digits import number_text, quantity_text
@@ -119,7 +118,7 @@ def run_live(path: Path, options: LiveOptions) -> bool:
 
 
 def _begin(recording: Path, options: LiveOptions) -> tuple[FolderFrames, LiveEvaluation]:
-    """Return the folders and the evaluation of a recording; refuse it before a page is written."""
+    """Return folders and evaluation of a recording, or refuse it before a page is written."""
     recorder_files(recording)
     frames = FolderFrames(recording)
     return frames, LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside)
@@ -195,10 +194,9 @@ def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | 
 
 def _final_results(evaluation: Evaluation) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, amplitude, U and unit of the driven acceleration and of the driven sensitivities."""
-    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
-    if direction is None:
+    driven = evaluation.stated_component
+    if driven is None:
         return
-    driven = driven_component(direction, None if sensor is None else sensor.capacity)
     result = evaluation.element or evaluation.sensitivity
     for line, frequency in enumerate(evaluation.lines.frequency_hz.tolist()):
         if evaluation.lines.multiple[line] != 1:
