@@ -49,6 +49,8 @@ MOST_HARMONICS = 3  # that predict a motion, in addition to its fundamental
 CLEAR = 6.0  # standard uncertainties of an amplitude that is certainly a line
 RATE_UNCERTAINTY = 1e-4
 """Relative standard uncertainty of a camera's nominal rate: that of a common quartz with its ageing."""
+MOST_BEAT_FRAMES = 100_000
+"""Frames within which a beat is expected; a longer one is none."""
 EXACT_S = 1e-9
 """Interval of an edge of the nominal clock."""
 IN_MEMORY = "live"
@@ -127,6 +129,10 @@ class LiveState:
         """Driven amplitude with the smallest relative U, of the load if it has one."""
         driven = [value for value in self.values if value.driven]
         return min(driven, key=lambda value: (value.body != "load", value.U_percent), default=None)
+
+    def reaches(self, until: float | None) -> bool:
+        """Return whether the driven amplitude has the relative U of an aim."""
+        return until is not None and self.driven is not None and self.driven.U_percent <= 100.0 * until
 
     def frames_to(self, aim_percent: float) -> float:
         """Return the predicted number of frames to reach the aim, infinite if never.
@@ -244,9 +250,8 @@ class LiveEvaluation:
         frames, pair.waiting = pair.waiting, []
         numbers = [frame.number for frame in frames]
         if pair.scene is None or pair.images is None:
-            pair.images = prepare_images(
-                self.manifest, self._base(numbers[-1] - numbers[0]), *_opened(pair.entry, frames)
-            )
+            base = self._base(numbers[-1] - numbers[0])
+            pair.images = prepare_images(self.manifest, base, pair.entry, _opened(pair.entry, frames))
             with as_input_error(*pair.images.sight.where):
                 pair.scene = prepare_scene(pair.images, self.settings, None)
             lead = 1 + len(pair.scene.lead)
@@ -369,10 +374,6 @@ class LiveEvaluation:
         return motion_from_tracks(replace(pair.images, sight=sight), body)
 
 
-MOST_BEAT_FRAMES = 100_000
-"""Frames within which a beat is expected; a longer one is none."""
-
-
 def live(
     recording: str | Path, frames: Iterable[LiveFrame], rate_hz: float, until: float | None = None
 ) -> Iterator[LiveState]:
@@ -413,7 +414,7 @@ def live(
             if count % (BLOCK_FRAMES * len(evaluation.pairs)) == 0:
                 state = evaluation.state(pending=1)
                 yield state
-                if until is not None and state.driven is not None and state.driven.U_percent <= 100.0 * until:
+                if state.reaches(until):
                     return
         yield evaluation.state()
 
@@ -498,8 +499,8 @@ def _in_memory(block: dict[str, Any], folder: str, number: int) -> dict[str, Any
     return remaining | files | {"first_edge": 0}
 
 
-def _opened(entry: Images, frames: Sequence[LiveFrame]) -> tuple[Images, FileCache]:
-    """Return an entry and its first frames, as if their files were open."""
+def _opened(entry: Images, frames: Sequence[LiveFrame]) -> FileCache:
+    """Return the first frames of an entry, as if their files were open."""
     cache, numbers = FileCache(), np.array([frame.number for frame in frames])
     counted = FrameNumbers(numbers - numbers[0], str(numbers[0]), str(numbers[-1]))
     names = tuple(f"{entry.stereo} {number}" for number in numbers)
@@ -514,7 +515,7 @@ def _opened(entry: Images, frames: Sequence[LiveFrame]) -> tuple[Images, FileCac
             numbers=counted,
             glimpse=partial(_bytes_of, frames, side),
         )
-    return entry, cache
+    return cache
 
 
 def _image_of(frames: Sequence[LiveFrame], side: int, index: int) -> GreyImage:
