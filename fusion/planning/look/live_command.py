@@ -162,10 +162,10 @@ def _follow(
 
 
 def _identities(recording: Path) -> object:
-    """Return the identities of the recorders' files, None while one is missing or grows."""
-    files = recorder_files(recording)
+    """Return the identities of manifest and recorders' files, None while one is incomplete."""
+    files = [recording, *recorder_files(recording)]
     before = [FileIdentity.of(path) for path in files]
-    if not before or None in before:
+    if len(files) == 1 or None in before:
         return None
     time.sleep(POLL_S)
     return before if before == [FileIdentity.of(path) for path in files] else None

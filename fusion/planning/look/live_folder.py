@@ -253,12 +253,14 @@ def _pair(recording: Path, block: dict[str, Any]) -> _PairFolders:
 
 def recorder_files(recording: Path) -> list[Path]:
     """Return the files of the recorders that a recording names."""
-    names = [block.get("file") for block in _tables(recording, "daq")]
-    for name in names:
+    files = []
+    for block in _tables(recording, "daq"):
+        name = block.get("file")
         if not isinstance(name, str):
             expected = "the name of the file that the recorder will write"
             raise InputError(WRONG_VALUE_TYPE, recording, "daq.file", found=describe(name), expected=expected)
-    return [recording.parent / name for name in names]
+        files.append(recording.parent / name)
+    return files
 
 
 def _tables(recording: Path, key: str) -> list[dict[str, Any]]:
