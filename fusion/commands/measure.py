@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from functools import partial
 from string import Formatter
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ from fusion.commands.options import (
     seed,
     whole,
 )
-from fusion.commands.plan import plan, print_rows
+from fusion.commands.plan import plan, show_table, write_figure
 from fusion.errors import (
     CONFLICTING_OPTIONS,
     INVALID_OPTION,
@@ -249,7 +250,6 @@ def _lines_options(parser: Parser) -> None:
 def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, with its origin."""
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
-    from fusion.report.atomic_files import write_atomically
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
@@ -258,16 +258,11 @@ def lines(options: argparse.Namespace) -> None:
         lists = [lines_of_recording(manifest, drawn=drawn) for manifest in _manifests(options)]
     else:
         lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band, drawn=drawn)
-    if options.csv:
-        write_atomically(options.csv, lines_csv(lists))
     if options.figure:
         from fusion.planning.plan_figures import draw_lines
 
-        write_atomically(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
-    if options.json:
-        print_rows("lines", lines_csv(lists))
-    else:
-        print_lines(lists)
+        write_figure(options.figure, partial(draw_lines, lists))
+    show_table(options, "lines", lines_csv(lists), partial(print_lines, lists))
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:

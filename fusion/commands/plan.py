@@ -1,8 +1,11 @@
-"""The command `shakercal plan`, and rows of a table as JSON."""
+"""The command `shakercal plan`, and outputs of commands with a figure and a table."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fusion.base import check_new_file
@@ -68,7 +71,6 @@ def _plan_options(parser: Parser) -> None:
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates with separate aliases of excitation and harmonics."""
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
-    from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
 
     if options.setup is not None:
@@ -104,16 +106,11 @@ def plan(options: argparse.Namespace) -> None:
         size=MotionSize(options.noise, options.amplitude, options.acceleration),
     )
     made = make_plan(request)
-    if options.csv:
-        write_atomically(options.csv, plan_csv(made))
     if options.figure:
         from fusion.planning.plan_figures import draw_plan
 
-        write_atomically(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
-    if options.json:
-        print_rows("plan", plan_csv(made))
-    else:
-        print_plan(made)
+        write_figure(options.figure, partial(draw_plan, made))
+    show_table(options, "plan", plan_csv(made), partial(print_plan, made))
 
 
 def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:
@@ -125,7 +122,6 @@ def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:
         print_multisine,
         rates_below,
     )
-    from fusion.report.atomic_files import write_atomically
 
     for name in ("together", "amplitude", "acceleration", "figure", "min_rate"):
         if getattr(options, name):
@@ -139,17 +135,25 @@ def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:
     made = make_multisine(
         MultisineRequest(options.lines, options.band, sampling, rates_hz, *shape, options.settle, options.noise)
     )
-    if options.csv:
-        write_atomically(options.csv, multisine_csv(made))
-    if options.json:
-        print_rows("plan", multisine_csv(made))
-    else:
-        print_multisine(made)
+    show_table(options, "plan", multisine_csv(made), partial(print_multisine, made))
 
 
-def print_rows(name: str, text: str) -> None:
-    """Print a table as JSON."""
+def write_figure(file: Path, draw: Callable[[str], bytes]) -> None:
+    """Write a figure in the format of its file."""
+    from fusion.report.atomic_files import write_atomically
+
+    write_atomically(file, draw(file.suffix.lower().removeprefix(".")))
+
+
+def show_table(options: argparse.Namespace, name: str, text: str, print_text: Callable[[], None]) -> None:
+    """Write a table if requested; print its rows as JSON, or a text."""
+    from fusion.report.atomic_files import write_atomically
     from fusion.report.folder import command_json
     from fusion.report.table import csv_rows
 
-    print(command_json(name, rows=csv_rows(text)))
+    if options.csv:
+        write_atomically(options.csv, text)
+    if options.json:
+        print(command_json(name, rows=csv_rows(text)))
+    else:
+        print_text()

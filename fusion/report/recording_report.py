@@ -217,7 +217,7 @@ def render_report(evaluation: Evaluation) -> str:
         "subject": _subject(evaluation),
         "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
-        "curve": len(tables.curve_lines(evaluation)) >= tables.MANY_LINES,
+        "curve": bool(tables.curve_lines(evaluation)),
         "rig": scene_page(evaluation_scene(evaluation)),
         "images": images,
         "field_page": field_page(pair_fields(evaluation), evaluation.stereo, [image.name for image in images]),

@@ -34,7 +34,6 @@ from fusion.report.table import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
-from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
@@ -49,9 +48,8 @@ def driven_component(evaluation: Evaluation) -> int:
     It is the largest element of the excitation's direction, forces and moments relative to the rated loads; if no
     direction is stated, the largest translation.
     """
-    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
-    if direction is not None:
-        return driven_load(direction, None if sensor is None else sensor.capacity)
+    if evaluation.stated_component is not None:
+        return evaluation.stated_component
     sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
     moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
     return int(np.argmax(moves.max(axis=0)))
@@ -174,18 +172,19 @@ MANY_LINES = 6
 
 
 def curve_lines(evaluation: Evaluation) -> list[int]:
-    """Return the indices of the driven lines with a value of the driven element."""
+    """Return the driven lines with the driven element, [] of fewer than `MANY_LINES`."""
     main = main_result(evaluation)
     if main is None:
         return []
-    found, at = main[0], (driven_channel(evaluation), driven_component(evaluation))
-    return [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(found.value[k, *at])]
+    found, at = main[0], main[0].elements[main[1]]
+    lines = [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(found.value[k, *at])]
+    return lines if len(lines) >= MANY_LINES else []
 
 
 def _curve_headlines(evaluation: Evaluation, found: Sensitivity) -> Iterator[Headline]:
     """Yield the range of U over the lines of a curve."""
     lines, at = curve_lines(evaluation), (driven_channel(evaluation), driven_component(evaluation))
-    if len(lines) < MANY_LINES:
+    if not lines:
         return
     points = [sensitivity_element(found, k, *at) for k in lines]
     relative = [100.0 * point.expanded_magnitude / point.magnitude for point in points]
@@ -201,8 +200,9 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
     """Return the main results: sensitivity, phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
     main = main_result(evaluation)
-    found = [] if main is None else _sensitivity_headlines(evaluation, main[0], line)
-    found = [*_curve_headlines(evaluation, main[0]), *found] if main is not None else found
+    found = list[Headline]()
+    if main is not None:
+        found += [*_curve_headlines(evaluation, main[0]), *_sensitivity_headlines(evaluation, main[0], line)]
     moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
     for result, label in zip((moved, evaluation.load), labels, strict=True):

@@ -522,6 +522,12 @@ class Evaluation(TabularResult):
     supports: tuple[SupportMotion, ...] = ()
 
     @property
+    def stated_component(self) -> int | None:
+        """Load component (0 to 5) along the stated excitation, None without a direction."""
+        direction, sensor = self.manifest.excitation.direction, self.manifest.rig.sensor
+        return None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
+
+    @property
     def _main_result(self) -> TabularResult | None:
         return self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
 

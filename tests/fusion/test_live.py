@@ -182,6 +182,33 @@ def test_recordings_that_need_a_complete_file_are_refused(arriving, file, old, n
     assert (refused.value.code, refused.value.key) == (LIVE_NOT_POSSIBLE.code, key)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("[[daq]]\n", "[[daq]]\nfile = 3\n", "daq.file: expected .*, found 3"),
+        ('trigger = "camera_trigger"', 'trigger = ["camera_trigger"]', r"images\.top\.trigger: .* found a list"),
+        ('trigger = "camera_trigger"', "", r"images\.top\.trigger: .* required"),
+        ('left = "top-left/*.tif"', "left = 5", r"images\.left: .* found 5"),
+        ("[[images]]", "[[alien]]\n[[images]]", "alien: .*unknown key"),
+    ],
+)
+def test_a_wrong_key_is_refused_before_a_page_is_written(arriving, old, new, told, refused):
+    manifest, page = arriving / "recording.toml", arriving.parent / "light.html"
+    if "file" in new:
+        manifest.write_text(re.sub("^file = .*\n", "", manifest.read_text("utf-8"), flags=re.M), encoding="utf-8")
+    edit(manifest, old, new)
+    assert re.search(f"recording.toml: {told}", refused("look", "--live", arriving, "--rate", "38", "--page", page))
+    assert not page.exists()
+
+
+@pytest.mark.parametrize("key", ["images", "daq"])
+def test_a_value_in_place_of_blocks_is_refused(arriving, key, refused):
+    manifest = arriving / "recording.toml"
+    others = re.sub(rf"(?ms)^\[\[{key}\b.*?(?=^\[\[(?!{key}\b)|\Z)", "", manifest.read_text("utf-8"))
+    manifest.write_text(others.replace("rig =", f"{key} = 3\nrig =", 1), encoding="utf-8")
+    assert f"recording.toml: {key}: expected blocks" in refused("look", "--live", arriving, "--rate", "38")
+
+
 @pytest.mark.parametrize("options", [["--live"], ["--until", "0.1"], ["--rate", "50"], ["--live", "--watch"]])
 def test_options_belong_together(arriving, options):
     with pytest.raises(SystemExit):

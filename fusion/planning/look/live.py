@@ -28,7 +28,6 @@ from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.manifest import Images
 from fusion.recording.toml import read_toml
-from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
 from photogram.frame_statistics import spread_choice
 from photogram.images.sequence import FrameNumbers, GreyImage, ImageSequence, full_scale_of
@@ -50,6 +49,8 @@ MOST_HARMONICS = 3  # that predict a motion, in addition to its fundamental
 CLEAR = 6.0  # standard uncertainties of an amplitude that is certainly a line
 RATE_UNCERTAINTY = 1e-4
 """Relative standard uncertainty of a camera's nominal rate: that of a common quartz with its ageing."""
+MOST_BEAT_FRAMES = 100_000
+"""Frames within which a beat is expected; a longer one is none."""
 EXACT_S = 1e-9
 """Interval of an edge of the nominal clock."""
 IN_MEMORY = "live"
@@ -128,6 +129,10 @@ class LiveState:
         """Driven amplitude with the smallest relative U, of the load if it has one."""
         driven = [value for value in self.values if value.driven]
         return min(driven, key=lambda value: (value.body != "load", value.U_percent), default=None)
+
+    def reaches(self, until: float | None) -> bool:
+        """Return whether the driven amplitude has the relative U of an aim."""
+        return until is not None and self.driven is not None and self.driven.U_percent <= 100.0 * until
 
     def frames_to(self, aim_percent: float) -> float:
         """Return the predicted number of frames to reach the aim, infinite if never.
@@ -245,9 +250,8 @@ class LiveEvaluation:
         frames, pair.waiting = pair.waiting, []
         numbers = [frame.number for frame in frames]
         if pair.scene is None or pair.images is None:
-            pair.images = prepare_images(
-                self.manifest, self._base(numbers[-1] - numbers[0]), *_opened(pair.entry, frames)
-            )
+            base = self._base(numbers[-1] - numbers[0])
+            pair.images = prepare_images(self.manifest, base, pair.entry, _opened(pair.entry, frames))
             with as_input_error(*pair.images.sight.where):
                 pair.scene = prepare_scene(pair.images, self.settings, None)
             lead = 1 + len(pair.scene.lead)
@@ -338,8 +342,6 @@ class LiveEvaluation:
         lines = _lines(self.manifest, base, motions, self.lines_hz)
         measured = fit_motions(PreparedSetUp("", "", self.manifest, base, (), (), lines), motions)
         evaluation = evaluate_set_ups(self.manifest, [measured], self.settings)
-        direction, sensor = self.manifest.excitation.direction, self.manifest.rig.sensor
-        driven = None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
         for found in (one for one in evaluation.accelerations if one.source == "fused"):
             relative = found.uncertainty.relative_to(found.phasors.value)
             fitted = [np.einsum("ki,kj->kij", one.effect, one.effect) for one in relative.influences if one.type == "A"]
@@ -359,7 +361,7 @@ class LiveEvaluation:
                             polar.k,
                             float(np.sqrt(noise)),
                             float(np.sqrt(max(whole - noise, 0.0))),
-                            c == driven and bool(evaluation.lines.multiple[line] == 1),
+                            c == evaluation.stated_component and bool(evaluation.lines.multiple[line] == 1),
                         )
 
     def _motion(self, pair: _LivePair, base: TimeBase, edges: IntArray) -> StereoMotion:
@@ -370,10 +372,6 @@ class LiveEvaluation:
         sight = replace(pair.images.sight, time_s=timed.time_s, edge=timed.edge)
         body = body_motion(pair.scene, [tuple(pair.followed)])
         return motion_from_tracks(replace(pair.images, sight=sight), body)
-
-
-MOST_BEAT_FRAMES = 100_000
-"""Frames within which a beat is expected; a longer one is none."""
 
 
 def live(
@@ -416,7 +414,7 @@ def live(
             if count % (BLOCK_FRAMES * len(evaluation.pairs)) == 0:
                 state = evaluation.state(pending=1)
                 yield state
-                if until is not None and state.driven is not None and state.driven.U_percent <= 100.0 * until:
+                if state.reaches(until):
                     return
         yield evaluation.state()
 
@@ -463,8 +461,9 @@ def _cameras_only(path: Path, allow_outside: bool) -> Manifest:
         found = "[[take]] blocks" if text.get("take") else "no [[images]]"
         raise InputError(LIVE_NOT_POSSIBLE, path, "images", found=found, expected="[[images]] of one set-up")
     with tempfile.TemporaryDirectory() as folder:
-        names = {block.get("trigger") for block in blocks if isinstance(block, dict)}
-        channels = [{"name": name, "quantity": "trigger"} for name in names if name is not None]
+        names = [block.get("trigger") for block in blocks if isinstance(block, dict)]
+        triggers = {name for name in names if isinstance(name, str)} or {IN_MEMORY}  # the block without is refused
+        channels = [{"name": name, "quantity": "trigger"} for name in triggers]
         clock: dict[str, Any] = {"name": IN_MEMORY, "clock_uncertainty": RATE_UNCERTAINTY, "channel": channels}
         text |= {"daq": [clock | {"file": _placeholder(folder, "clock")}], "points": []}
         text["images"] = [
@@ -500,8 +499,8 @@ def _in_memory(block: dict[str, Any], folder: str, number: int) -> dict[str, Any
     return remaining | files | {"first_edge": 0}
 
 
-def _opened(entry: Images, frames: Sequence[LiveFrame]) -> tuple[Images, FileCache]:
-    """Return an entry and its first frames, as if their files were open."""
+def _opened(entry: Images, frames: Sequence[LiveFrame]) -> FileCache:
+    """Return the first frames of an entry, as if their files were open."""
     cache, numbers = FileCache(), np.array([frame.number for frame in frames])
     counted = FrameNumbers(numbers - numbers[0], str(numbers[0]), str(numbers[-1]))
     names = tuple(f"{entry.stereo} {number}" for number in numbers)
@@ -516,7 +515,7 @@ def _opened(entry: Images, frames: Sequence[LiveFrame]) -> tuple[Images, FileCac
             numbers=counted,
             glimpse=partial(_bytes_of, frames, side),
         )
-    return entry, cache
+    return cache
 
 
 def _image_of(frames: Sequence[LiveFrame], side: int, index: int) -> GreyImage:

@@ -20,11 +20,11 @@ from fusion.planning.look.live import BLOCK_FRAMES, LiveEvaluation, LiveState
 from fusion.planning.look.live_folder import FolderFrames, FrameCounts, recorder_files
 from fusion.planning.look.look import LiveHeading, WatchedPage
 from fusion.recording.load import find_single_recording, load_manifest
+from fusion.report.tables import main_result, result_name
 from fusion.report.terminal import print_text, printable
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_recording
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units, sensitivity_unit
 from shakercal._common.digits import number_text, quantity_text
 
 POLL_S = 0.05  # interval of the listing of the folders
@@ -56,7 +56,7 @@ class LiveOutput:
     def state(self, state: LiveState, counts: FrameCounts, behind: int) -> bool:
         """Show a state if it is new; return whether the aim is reached."""
         self._show(state, counts, behind)
-        if reached := _is_reached(state, self.options.until):
+        if reached := state.reaches(self.options.until):
             self.line(f"Aim of {_percent(100 * (self.options.until or 0))} reached: stop recording.", "reached")
         return reached
 
@@ -108,24 +108,30 @@ def run_live(path: Path, options: LiveOptions) -> bool:
     Returns whether the aim is reached, True without one.
     """
     recording = find_single_recording(path)
+    begun = _begin(recording, options)
     with nullcontext() if options.page is None else WatchedPage(options.page) as page:
         output = LiveOutput(options, page)
         with cleanup_on_signal(output.close):
-            while True:
-                reached = _follow(recording, options, output)
-                if reached is not None:
-                    return reached
+            while (reached := _follow(recording, *begun, options, output)) is None:
                 output.line("The folder was emptied: the evaluation begins anew.", "restart")
+                begun = _begin(recording, options)
+            return reached
 
 
-def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
+def _begin(recording: Path, options: LiveOptions) -> tuple[FolderFrames, LiveEvaluation]:
+    """Return folders and evaluation of a recording, or refuse it before a page is written."""
+    recorder_files(recording)
+    frames = FolderFrames(recording)
+    return frames, LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside)
+
+
+def _follow(
+    recording: Path, frames: FolderFrames, evaluation: LiveEvaluation, options: LiveOptions, output: LiveOutput
+) -> bool | None:
     """Follow a series; return whether the aim is reached, None for an emptied folder."""
-    frames, last_s, due_s, tried = FolderFrames(recording), time.monotonic(), 0.0, object()
+    last_s, due_s, tried = time.monotonic(), 0.0, object()
     begun_s, job = 0.0, None
-    with (
-        LiveEvaluation(recording, options.rate_hz, allow_outside=options.allow_outside) as evaluation,
-        ThreadPoolExecutor(1) as worker,
-    ):
+    with evaluation, ThreadPoolExecutor(1) as worker:
         while not frames.emptied:
             new = frames.take(BLOCK_FRAMES)
             for frame in new:
@@ -156,12 +162,13 @@ def _follow(recording: Path, options: LiveOptions, output: LiveOutput) -> bool |
 
 
 def _identities(recording: Path) -> object:
-    """Return the identities of the recorders' files, None while one is missing or grows."""
-    before = [FileIdentity.of(path) for path in recorder_files(recording)]
-    if not before or None in before:
+    """Return the identities of manifest and recorders' files, None while one is incomplete."""
+    files = [recording, *recorder_files(recording)]
+    before = [FileIdentity.of(path) for path in files]
+    if len(files) == 1 or None in before:
         return None
     time.sleep(POLL_S)
-    return before if before == [FileIdentity.of(path) for path in recorder_files(recording)] else None
+    return before if before == [FileIdentity.of(path) for path in files] else None
 
 
 def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | None:
@@ -188,11 +195,10 @@ def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | 
 
 def _final_results(evaluation: Evaluation) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, amplitude, U and unit of the driven acceleration and of the driven sensitivities."""
-    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
-    if direction is None:
+    driven = evaluation.stated_component
+    if driven is None:
         return
-    driven = driven_component(direction, None if sensor is None else sensor.capacity)
-    result = evaluation.element or evaluation.sensitivity
+    main = main_result(evaluation)
     for line, frequency in enumerate(evaluation.lines.frequency_hz.tolist()):
         if evaluation.lines.multiple[line] != 1:
             continue
@@ -200,13 +206,15 @@ def _final_results(evaluation: Evaluation) -> Iterator[tuple[str, float, float, 
             if (polar := found.polar[line][driven]) is not None:
                 name = f"{found.body} {MOTION_COMPONENTS[driven]} at {frequency:.6g} Hz"
                 yield name, polar.magnitude, polar.expanded_magnitude, component_units(2)[driven]
-        if result is None:
+        if main is None:
             continue
-        for (channel, load), polar in zip(result.elements, result.polar[line], strict=True):
-            name, unit = LOAD_COMPONENTS[load], result.labelled().unit[0]
-            if load == driven and polar is not None and result.channels[channel] == name:
-                label = f"sensitivity {name} per {name} at {frequency:.6g} Hz"
-                yield label, polar.magnitude, polar.expanded_magnitude, unit
+        result, index = main
+        if (polar := result.polar[line][index]) is not None:
+            channel, load = result.channels[result.elements[index][0]], LOAD_COMPONENTS[driven]
+            name = result_name(result.kind[line], channel, load, main=True)
+            quantity = f"sensitivity {name}" if result is evaluation.element else name
+            unit = sensitivity_unit(result.unit, load)
+            yield f"{quantity} at {frequency:.6g} Hz", polar.magnitude, polar.expanded_magnitude, unit
 
 
 # Texts of a state.
@@ -223,7 +231,7 @@ def describe_state(state: LiveState, until: float | None, counts: FrameCounts, b
     if value is None:
         parts.append(state.reason or "no acceleration along `excitation.direction`")
     else:
-        size = quantity_text(value.amplitude, value.amplitude * value.U_percent / 100, value.unit)
+        size = quantity_text(value.amplitude, value.U, value.unit)
         place = f"{value.body} {value.component} {value.frequency_hz:.6g} Hz"
         parts.append(f"{place}: {size}, U = {_percent(value.U_percent)} (preliminary, clocks not tied)")
         if until is not None:
@@ -243,12 +251,8 @@ def _describe_aim(state: LiveState, aim_percent: float) -> str:
     return f"{aim} at about {needed:.0f} frames" if needed > max(state.frames.values()) else f"{aim} reached"
 
 
-def _is_reached(state: LiveState, until: float | None) -> bool:
-    return until is not None and state.driven is not None and state.driven.U_percent <= 100 * until
-
-
 def _heading(state: LiveState, until: float | None, text: str) -> LiveHeading:
     """Return the heading of the page: U, or that lines are not resolved yet."""
-    reached, value = _is_reached(state, until), state.driven
+    reached, value = state.reaches(until), state.driven
     word = "ENOUGH" if reached else "WAIT" if value is None else f"U {_percent(value.U_percent)}"
     return LiveHeading(word, tuple(text.split(" · ")), reached)

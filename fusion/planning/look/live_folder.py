@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
@@ -17,8 +16,9 @@ from fusion.base import natural_key
 from fusion.errors import InputError
 from fusion.planning.look.live import LiveFrame
 from fusion.planning.look.look_notices import LIVE_NOT_POSSIBLE
+from fusion.recording.recording_notices import WRONG_VALUE_TYPE
 from fusion.recording.toml import read_toml
-from fusion.recording.values import MAGIC
+from fusion.recording.values import MAGIC, describe
 from photogram.frame_statistics import spread_choice
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import GreyImage, numbers_of_names
@@ -152,8 +152,7 @@ class FolderFrames:
 
     def __init__(self, recording: Path) -> None:
         self.counts = FrameCounts()
-        blocks = [block for block in read_toml(recording).get("images", ()) if isinstance(block, dict)]
-        self._pairs = [_pair(recording, block) for block in blocks]
+        self._pairs = [_pair(recording, block) for block in _tables(recording, "images")]
 
     @property
     def emptied(self) -> bool:
@@ -254,5 +253,20 @@ def _pair(recording: Path, block: dict[str, Any]) -> _PairFolders:
 
 def recorder_files(recording: Path) -> list[Path]:
     """Return the files of the recorders that a recording names."""
-    blocks: Sequence[Any] = read_toml(recording).get("daq", ())
-    return [recording.parent / str(block.get("file")) for block in blocks if isinstance(block, dict)]
+    files = []
+    for block in _tables(recording, "daq"):
+        name = block.get("file")
+        if not isinstance(name, str):
+            expected = "the name of the file that the recorder will write"
+            raise InputError(WRONG_VALUE_TYPE, recording, "daq.file", found=describe(name), expected=expected)
+        files.append(recording.parent / name)
+    return files
+
+
+def _tables(recording: Path, key: str) -> list[dict[str, Any]]:
+    """Return the blocks of a name, none without any; refuse other values."""
+    blocks = read_toml(recording).get(key, [])
+    if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
+        found, expected = describe(blocks), f"blocks in double brackets, [[{key}]]"
+        raise InputError(WRONG_VALUE_TYPE, recording, key, found=found, expected=expected)
+    return blocks

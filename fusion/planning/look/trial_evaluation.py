@@ -37,7 +37,6 @@ from fusion.recording.load import Manifest
 from fusion.recording.placement import main_direction, measuring_point
 from fusion.recording.plausibility_notices import LOAD_HANGS
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES, OUTPUT_LAGS, UNOBSERVED_MOTION_LARGE
 from photogram.frame_statistics import spread_choice
@@ -303,12 +302,6 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
             yield Finding("KEEP", notice)
 
 
-def _driven(evaluation: Evaluation) -> int | None:
-    """Return the driven load component (0 to 5), None without a stated direction."""
-    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
-    return None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
-
-
 def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterator[Finding]:
     """Yield a motion of the load along another axis than the stated one."""
     direction = evaluation.manifest.excitation.direction
@@ -331,7 +324,7 @@ def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterato
 
 def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
     """Yield driven sensitivities that are not significantly different from zero, line by line."""
-    component, result = _driven(evaluation), evaluation.element or evaluation.sensitivity
+    component, result = evaluation.stated_component, evaluation.element or evaluation.sensitivity
     driven_elements = (
         [] if result is None else [e for e, (_, driven) in enumerate(result.elements) if driven == component]
     )
