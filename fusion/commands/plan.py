@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 1_000_000
 MOST_LINES = 200  # of a multisine
+OF_FREQUENCIES = ("together", "amplitude", "acceleration", "figure", "min_rate")
+OF_LINES = ("band", "linear", "peak", "slope")
+"""Options that need --frequencies, and those that need --lines."""
 
 
 def _plan_options(parser: Parser) -> None:
@@ -41,9 +44,9 @@ def _plan_options(parser: Parser) -> None:
     excited.add_argument("--lines", type=whole(2, MOST_LINES), metavar="N", help=text)
     parser.value("--band", band, "LOW:HIGH", "of the frequencies of --lines, Hz, in equal ratios")
     parser.switch("--linear", "frequencies of --lines in equal steps instead")
-    parser.value("--peak", positive, "M/S2", "peak acceleration of the multisine (default: 1)", default=1.0)
+    parser.value("--peak", positive, "M/S2", "peak acceleration of the multisine (default: 1)")
     text = "exponent p of accelerations of the lines in proportion to f^p (default: 0, equal ones)"
-    parser.value("--slope", exponent, "P", text, default=0.0)
+    parser.value("--slope", exponent, "P", text)
     parser.add_argument("--frames", type=whole(4, MOST_FRAMES), help="frames per point")
     rate = parser.add_mutually_exclusive_group()
     rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="highest camera rate to consider")
@@ -89,6 +92,11 @@ def plan(options: argparse.Namespace) -> None:
         check_new_file(file, force=options.force)
     if options.rate is not None and options.min_rate is not None:
         raise InputError(CONFLICTING_OPTIONS, "--min-rate", found="--rate", expected="--max-rate with it")
+    found, expected = ("--frequencies", "--lines") if options.lines is None else ("--lines", "--frequencies")
+    for name in OF_LINES if options.lines is None else OF_FREQUENCIES:
+        if getattr(options, name):
+            key = f"--{name.replace('_', '-')}"
+            raise InputError(CONFLICTING_OPTIONS, key, found=found, expected=f"{expected} with it")
     sampling = Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance)
     if options.lines is not None:
         _plan_multisine(options, sampling)
@@ -123,15 +131,10 @@ def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:
         rates_below,
     )
 
-    for name in ("together", "amplitude", "acceleration", "figure", "min_rate"):
-        if getattr(options, name):
-            raise InputError(
-                CONFLICTING_OPTIONS, f"--{name.replace('_', '-')}", found="--lines", expected="--frequencies with it"
-            )
     if not options.band[0] > 0.0:
         raise InputError(CONFLICTING_OPTIONS, "--band", found=f"{options.band[0]:g} Hz", expected="frequencies above 0")
     rates_hz = (options.rate,) if options.rate else rates_below(options.max_rate, options.rate_step)
-    shape = options.linear, options.slope, options.peak
+    shape = options.linear, options.slope or 0.0, options.peak or 1.0
     made = make_multisine(
         MultisineRequest(options.lines, options.band, sampling, rates_hz, *shape, options.settle, options.noise)
     )

@@ -203,6 +203,10 @@ def test_predicted_u_is_the_scatter_of_fits() -> None:
         ("--lines 40 --band 0:900 --frames 400", "--band: .*above 0"),
         ("--lines 40 --band 60:900 --frames 400 --together", "--together: .*--lines"),
         ("--lines 40 --band 60:900 --frames 400 --min-rate 50", "--min-rate: .*--lines"),
+        ("--frequencies 106.25 --band 60:900 --frames 400", "--band: .*--lines.* --frequencies"),
+        ("--frequencies 106.25 --linear --frames 400", "--linear: .*--lines.* --frequencies"),
+        ("--frequencies 106.25 --peak 9 --frames 400", "--peak: .*--lines.* --frequencies"),
+        ("--frequencies 106.25 --slope 1 --frames 400", "--slope: .*--lines.* --frequencies"),
     ],
 )
 def test_wrong_multisines_are_one_sentence(arguments: str, told: str, refused: RefusedCommand) -> None:
