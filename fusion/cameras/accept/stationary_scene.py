@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.cameras.accept.acceptance_manifest import StationaryBlock, Tolerances
 from fusion.cameras.accept.acceptance_rows import AcceptanceRow
-from fusion.cameras.accept.tracked_test import TrackedTest, about_centre
+from fusion.cameras.accept.tracked_test import TrackedTest
 from photogram.camera import StereoRig
 from photogram.measure.epipolar import check_epipolar
 from photogram.measure.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED
@@ -82,7 +82,8 @@ def measure_stationary(
     """Return the noise floor, drift and vibrations of a scene at rest, with the rows."""
     body = tracked.body
     assert body is not None
-    pose, covariance = about_centre(body.motion, tracked.centre_m)
+    motion = body.motion.about(tracked.centre_m)
+    pose = motion.pose
     fitted = np.isfinite(pose).all(axis=1)
     frames = np.flatnonzero(fitted)
     number = np.arange(len(pose))
@@ -101,7 +102,7 @@ def measure_stationary(
     duration = float(np.ptp(time))
     spread = float(np.sqrt(np.sum((time[fitted] - time[fitted].mean()) ** 2)))
     offset = tracked.points.position_m[0] - tracked.centre_m
-    predicted = np.sqrt(np.mean(np.diagonal(covariance[fitted][1:], axis1=1, axis2=2), axis=0))
+    predicted = np.sqrt(np.mean(np.diagonal(motion.covariance[fitted][1:], axis1=1, axis2=2), axis=0))
     later = tracked.points.position_m[1:]
     made = StationaryTest(
         time=time,

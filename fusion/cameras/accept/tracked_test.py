@@ -13,12 +13,11 @@ from fusion.cameras.accept.acceptance_notices import TEST_IMAGES, TOO_FEW_SUBSET
 from fusion.cameras.accept.apparent_field import CUBIC, plate_axes, polynomials
 from fusion.errors import InputError, as_input_error
 from photogram.camera import Points3D, StereoRig, triangulate
-from photogram.geometry import RigidTransform, displacement_jacobian
+from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import ImageSequence, inspect_first_image
 from photogram.measure.body import BodyMotion, body_motion, follow_block
 from photogram.measure.follow import BodyScene, FollowedBlock, iterate_blocks, prepare_body
-from photogram.motion import RigidMotion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.texture import radius_from_image_px
 from photogram.subsets.track import build_tracks
@@ -144,14 +143,6 @@ def _inliers(position_m: FloatArray) -> BoolArray:
         scatter = 1.4826 * np.median(left_over[good], axis=0) + 1e-12
         good = np.asarray((left_over <= OUTLIER * scatter).all(axis=1))
     return good
-
-
-def about_centre(motion: RigidMotion, centre_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return poses (F, 6) and covariances of a small motion about another point."""
-    slope = np.eye(6)
-    slope[:3] = displacement_jacobian((centre_m - motion.origin_m)[None])[0]
-    pose = motion.pose @ slope.T
-    return pose, slope @ motion.covariance @ slope.T
 
 
 def fitted_path(rig: StereoRig, tracked: TrackedTest, along: FloatArray) -> tuple[FloatArray, FloatArray]:
