@@ -141,9 +141,9 @@ def _causes(evaluation: AcceptanceEvaluation, file: AcceptanceFile) -> Iterator[
             yield Notice(LIKELY_CAUSE, row.test, quantity=row.label, remedy=row.remedy, **shown)
     for test, block in zip(evaluation.translations, file.tables.translation, strict=True):
         if test.late is None:
-            yield Notice(SYNCHRONISATION_UNTESTED, f"translation {test.name}")
+            yield Notice(SYNCHRONISATION_UNTESTED, test.label)
         if block.positions is None:
-            yield Notice(SCALE_UNTESTED, f"translation {test.name}")
+            yield Notice(SCALE_UNTESTED, test.label)
 
 
 def _calibration_causes(evaluation: AcceptanceEvaluation) -> Iterator[Notice]:
@@ -151,7 +151,7 @@ def _calibration_causes(evaluation: AcceptanceEvaluation) -> Iterator[Notice]:
     for test in evaluation.translations:
         if test.late:
             camera, frames = ("right", test.late) if test.late > 0 else ("left", -test.late)
-            yield Notice(LATE_FRAMES, f"translation {test.name}", camera=camera, frames=frames)
+            yield Notice(LATE_FRAMES, test.label, camera=camera, frames=frames)
             return
     found = evaluation.diagnosis
     if found is None or not found.is_significant:
