@@ -34,6 +34,8 @@ OUTLIER = 6.0
 """Robust standard deviations from a cubic polynomial beyond which a subset is a mismatch."""
 STATIONARY_SUBSET_FRAMES = 200
 """Frames of a stationary scene in which subsets are searched; their scatter is then known to 5 %."""
+OpenedPair = tuple[tuple[ImageSequence, ImageSequence], int]
+"""Images of both cameras, and the radius of the subsets."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,10 +62,11 @@ class TrackedTest(Arrays, shapes="left_px F N 2; right_px F N 2; centre_m 3"):
     notices: tuple[Notice, ...] = ()
 
 
-def open_pair(
-    file: AcceptanceFile, key: str, block: ImagePair, fewest: int
-) -> tuple[tuple[ImageSequence, ImageSequence], int]:
-    """Return the images of both cameras, checked, and the radius of the subsets."""
+def open_pair(file: AcceptanceFile, key: str, block: ImagePair, fewest: int, listed: str = "") -> OpenedPair:
+    """Return the images of both cameras, checked, and the radius of the subsets.
+
+    `listed`: key of the numbers that are stated for each image.
+    """
     sequences, radius = list[ImageSequence](), 0
     cameras = (("left", block.left, file.rig.left), ("right", block.right, file.rig.right))
     for side, paths, camera in cameras:
@@ -84,14 +87,23 @@ def open_pair(
     if not fewest <= len(left) <= MOST_FRAMES:
         expected = f"{fewest} to {MOST_FRAMES} images"
         raise InputError(TEST_IMAGES, file.path, f"{key}.left", found=f"{len(left)}", expected=expected)
+    numbers = getattr(block, listed) if listed else None
+    if numbers is not None and len(numbers) != len(left):
+        expected = f"{len(left)} numbers, one for each image"
+        raise InputError(TEST_IMAGES, file.path, f"{key}.{listed}", found=f"{len(numbers)}", expected=expected)
     return (left, right), radius
 
 
 def track_test(
-    file: AcceptanceFile, key: str, block: ImagePair, fewest: int, progress: ProgressCallback, *, at_rest: bool = False
+    file: AcceptanceFile,
+    key: str,
+    pair: OpenedPair,
+    progress: ProgressCallback,
+    *,
+    at_rest: bool = False,
 ) -> TrackedTest:
     """Return the tracked subsets of a test; `at_rest`: with the motion by the grey values."""
-    images, radius = open_pair(file, key, block, fewest)
+    images, radius = pair
     frames = STATIONARY_SUBSET_FRAMES if at_rest else None
     tables = file.tables
     settings = TrackSettings(radius, degree=SPLINE_DEGREE, region=tables.region, mask=tables.mask, frames=frames)
