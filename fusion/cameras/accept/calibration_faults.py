@@ -282,9 +282,9 @@ class _RigidityProblem:
         value = np.zeros(columns.shape[1])
         common = np.concatenate([-self.nuisance, self.calibration], axis=1)
         penalty = np.eye(common.shape[1])
+        step = self._steps(columns)
         for _ in range(1 if kind is None else ROUNDS):
             base = self.values(self.rig.perturbed(columns @ value))
-            step = self._steps(columns)
             by_fault = [
                 (self.values(self.rig.perturbed(columns @ (value + s))) - base) / s[k]
                 for k, s in enumerate(np.diag(step))
