@@ -183,12 +183,11 @@ def _p95(test: StationaryTest, index: int) -> float:
 def lines_table(test: StationaryTest) -> Table | None:
     """Return the vibrations found."""
     lines = test.lines
-    amplitude = np.nan_to_num(lines.amplitude) * test.arms
+    amplitude, u_amplitude = test.vibrations
 
     def strongest(index: int) -> str:
         column = int(np.argmax(amplitude[index]))
-        u = 2.0 * float(np.nan_to_num(lines.u_amplitude)[index, column] * test.arms[column])
-        return quantity_text(1e9 * float(amplitude[index, column]), 1e9 * u, "nm")
+        return quantity_text(1e9 * float(amplitude[index, column]), 2e9 * float(u_amplitude[index, column]), "nm")
 
     columns: list[TableColumn[int]] = [
         page_column("frequency", lambda index: number_text(float(lines.frequency_hz[index]), 4)),
