@@ -199,6 +199,13 @@ def test_images_of_another_size_and_a_small_region_are_refused(
     assert TEST_IMAGES.code in refused("accept", folder, "-q")
 
 
+@pytest.mark.parametrize("truth", [b"{", b"\xff", b"3", b'{"files": 5}', b'{"files": [5, "\\u0000"]}', b"[]"])
+def test_a_damaged_truth_is_no_earlier_simulation(truth: bytes, tmp_path: Path, refused: RefusedCommand) -> None:
+    (tmp_path / "truth.json").write_bytes(truth)
+    refused("simulate", tmp_path, "--preset", "acceptance", "--force")
+    assert (tmp_path / "truth.json").read_bytes() == truth
+
+
 # Parts, against closed forms and OpenCV's projection.
 
 
