@@ -32,6 +32,8 @@ FEWEST_SUBSETS = 30
 """Of a plate: fewer do not determine the cubic polynomials that separate smooth errors from noise."""
 OUTLIER = 6.0
 """Robust standard deviations from a cubic polynomial beyond which a subset is a mismatch."""
+SMALLEST_MOTION_PX = 1e-3
+"""Largest motion of a subset below which all images are the same; their noise alone moves it farther."""
 STATIONARY_SUBSET_FRAMES = 200
 """Frames of a stationary scene in which subsets are searched; their scatter is then known to 5 %."""
 OpenedPair = tuple[tuple[ImageSequence, ImageSequence], int]
@@ -117,7 +119,19 @@ def track_test(
         body = body_motion(scene, blocks) if at_rest else None
     of_images = [notice for side in images for notice in side.notices]
     notices = (*of_images, *(scene.grid.notices if body is None else body.notices))
-    return replace(_tracked(file, key, scene, blocks), body=body, notices=notices)
+    found = _tracked(file, key, scene, blocks)
+    if not at_rest:
+        _check_motion(file, key, found)
+    return replace(found, body=body, notices=notices)
+
+
+def _check_motion(file: AcceptanceFile, key: str, tracked: TrackedTest) -> None:
+    """Refuse a body at rest, whose motion has neither a direction nor a scale."""
+    for side, position in (("left", tracked.left_px), ("right", tracked.right_px)):
+        moved = np.linalg.norm(position - position[0], axis=2).max()
+        if moved < SMALLEST_MOTION_PX:
+            expected = "images of a body that moves"
+            raise InputError(TEST_IMAGES, file.path, f"{key}.{side}", found="the same image", expected=expected)
 
 
 def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[FollowedBlock]) -> TrackedTest:
