@@ -136,7 +136,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _listed(truth: Path) -> list[str]:
-    """Return the present files that the truth of a simulation lists, none if it is damaged."""
+    """Return the present files that a truth lists, none if it is damaged."""
     try:
         stated = json.loads(truth.read_text(encoding="utf-8"))
     except (OSError, ValueError):

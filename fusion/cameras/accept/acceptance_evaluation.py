@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from fusion.base import CommandEvaluation, ProgressCallback, no_progress
 from fusion.cameras.accept.acceptance_manifest import (
     FEWEST_MOVED,
+    FEWEST_ROTATED,
     FEWEST_STATIONARY,
-    FEWEST_TURNED,
     AcceptanceFile,
 )
 from fusion.cameras.accept.acceptance_notices import (
@@ -98,7 +98,7 @@ def evaluate_acceptance(
         translations.append(measure_translation(rig, moved, tracked, tables.tolerances))
     for rotation in tables.rotation:
         key = f"rotation.{rotation.name}"
-        pair = open_pair(file, key, rotation, FEWEST_TURNED, "angles")
+        pair = open_pair(file, key, rotation, FEWEST_ROTATED, "angles")
         tracked = track_test(file, key, pair, progress)
         tracking += tracked.notices
         rotations.append(measure_rotation(rig, rotation, tracked, tables.tolerances))

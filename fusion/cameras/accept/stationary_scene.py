@@ -72,7 +72,10 @@ class StationaryTest(
 
     @property
     def vibrations(self) -> tuple[FloatArray, FloatArray]:
-        """Largest amplitude of a point (L, 6) by each component of each line, and its standard uncertainty."""
+        """Largest amplitudes of a point (L, 6) with standard uncertainty.
+
+        By each component of each line.
+        """
         return (
             np.nan_to_num(self.lines.amplitude) * self.arms,
             np.nan_to_num(self.lines.u_amplitude) * self.arms,
