@@ -135,18 +135,24 @@ def _files(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
+def _listed(truth: Path) -> list[str]:
+    """Return the present files that a truth lists, none if it is damaged."""
+    try:
+        stated = json.loads(truth.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
+    listed = stated.get("files", images if "left" in stated else None) if isinstance(stated, dict) else None
+    return [name for name in _files(truth.parent) if name in listed] if isinstance(listed, list) else []
+
+
 def _not_simulated(out: Path) -> Path | None:
     """Return a path in a folder that is no part of a simulation, else None."""
     from fusion.recording.load import load_manifest
 
     element = {(out / name).resolve() for name in ("elastomer.toml", "models.json", "truth.json")}
     written = element if all(file.is_file() for file in element) else set()
-    truth = out / "truth.json"
-    if truth.is_file() and "files" in (stated := json.loads(truth.read_text(encoding="utf-8"))):
-        written.update((out / name).resolve() for name in stated["files"])
-    elif truth.is_file() and "left" in stated:
-        images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
-        written.update((out / name).resolve() for name in images)
+    written.update((out / name).resolve() for name in _listed(out / "truth.json"))
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])

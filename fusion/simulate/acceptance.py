@@ -32,6 +32,7 @@ ACCEPTANCE_FILE, CALIBRATION_FILE = "acceptance.toml", "calibration.json"
 VIBRATION_HZ = 12.0
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "z": (0.0, 0.0, 1.0)}
 TURN_AXIS = (0.0, 0.0, 1.0)
+STAGE_KEYS = ("position_uncertainty", "scale_uncertainty", "rotation_uncertainty", "straightness_uncertainty")
 SIDES = ("left", "right")
 
 
@@ -210,16 +211,8 @@ def _motions(
         pose[:, :3] += preset.straightness_uncertainty * rng.standard_normal((len(position), 3))
         pose[:, 3:] = np.outer(share, preset.rotation_uncertainty * rng.standard_normal(3))
         poses[name] = pose
-        stage = {key: getattr(preset, f"{key}_uncertainty") for key in ("position", "scale", "rotation")}
-        blocks.append(
-            {
-                "name": name,
-                **_images(name),
-                "positions": position.tolist(),
-                **{f"{key}_uncertainty": value for key, value in stage.items()},
-                "straightness_uncertainty": preset.straightness_uncertainty,
-            }
-        )
+        stated = {key: getattr(preset, key) for key in STAGE_KEYS}
+        blocks.append({"name": name, **_images(name), "positions": position.tolist(), **stated})
     axis, wobble = np.array(TURN_AXIS), preset.axis_uncertainty * rng.standard_normal(3)
     angles = np.repeat([0.0, preset.angle], preset.repeats)
     true_angles = np.repeat([0.0, preset.angle + preset.angle_uncertainty * rng.standard_normal()], preset.repeats)

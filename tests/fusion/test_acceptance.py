@@ -199,6 +199,29 @@ def test_images_of_another_size_and_a_small_region_are_refused(
     assert TEST_IMAGES.code in refused("accept", folder, "-q")
 
 
+@pytest.mark.parametrize("test", ["translation", "rotation"])
+def test_the_same_image_in_all_frames_is_refused(
+    test: str, rewritten: Callable[..., Path], refused: RefusedCommand
+) -> None:
+    folder = rewritten(stationary=None, **{"rotation" if test == "translation" else "translation": None})
+    images = folder / ("x" if test == "translation" else "turned")
+    for side in ("left", "right"):
+        first, *others = sorted(images.glob(f"{side}-*.png"))
+        for other in others:
+            shutil.copyfile(first, other)
+    sentence = refused("accept", folder, "-q")
+    assert TEST_IMAGES.code in sentence
+    assert f"{test}." in sentence
+    assert not (folder / "accept").exists()
+
+
+@pytest.mark.parametrize("truth", [b"{", b"\xff", b"3", b'{"files": 5}', b'{"files": [5, "\\u0000"]}', b"[]"])
+def test_a_damaged_truth_is_no_earlier_simulation(truth: bytes, tmp_path: Path, refused: RefusedCommand) -> None:
+    (tmp_path / "truth.json").write_bytes(truth)
+    refused("simulate", tmp_path, "--preset", "acceptance", "--force")
+    assert (tmp_path / "truth.json").read_bytes() == truth
+
+
 # Parts, against closed forms and OpenCV's projection.
 
 

@@ -7,7 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from fusion.base import CommandEvaluation, ProgressCallback, no_progress
-from fusion.cameras.accept.acceptance_manifest import FEWEST_MOVED, FEWEST_STATIONARY, AcceptanceFile
+from fusion.cameras.accept.acceptance_manifest import (
+    FEWEST_MOVED,
+    FEWEST_ROTATED,
+    FEWEST_STATIONARY,
+    AcceptanceFile,
+)
 from fusion.cameras.accept.acceptance_notices import (
     LATE_FRAMES,
     LIKELY_CAUSE,
@@ -15,15 +20,13 @@ from fusion.cameras.accept.acceptance_notices import (
     SCALE_UNTESTED,
     SMALL_FAULT,
     SYNCHRONISATION_UNTESTED,
-    TEST_IMAGES,
     UNEXPLAINED_FAULT,
 )
 from fusion.cameras.accept.acceptance_rows import AcceptanceRow, Verdict, overall
-from fusion.cameras.accept.calibration_faults import Diagnosis, MovedPlate, diagnose
+from fusion.cameras.accept.calibration_faults import Diagnosis, diagnose
 from fusion.cameras.accept.moved_plate import MotionTest, measure_rotation, measure_translation
 from fusion.cameras.accept.stationary_scene import StationaryTest, measure_stationary
-from fusion.cameras.accept.tracked_test import track_test
-from fusion.errors import InputError
+from fusion.cameras.accept.tracked_test import open_pair, track_test
 from shakercal._common.notices import Notice
 
 GEOMETRIC = ("epipolar", "scale", "position", "scale_variation", "straightness", "rotation", "strain", "bending")
@@ -82,26 +85,25 @@ def evaluate_acceptance(
     stationary, tracking = None, list[Notice]()
     if tables.stationary is not None:
         block = tables.stationary
-        tracked = track_test(file, "stationary", block, FEWEST_STATIONARY, progress, at_rest=True)
+        pair = open_pair(file, "stationary", block, FEWEST_STATIONARY)
+        tracked = track_test(file, "stationary", pair, progress, at_rest=True)
         stationary = measure_stationary(rig, block, tracked, tables.tolerances)
         tracking += [*tracked.notices, *stationary.notices]
     translations, rotations = list[MotionTest](), list[MotionTest]()
     for moved in tables.translation:
         key = f"translation.{moved.name}"
-        _check_count(file, f"{key}.positions", moved.positions, len(moved.left))
-        tracked = track_test(file, key, moved, FEWEST_MOVED, progress)
-        _check_count(file, f"{key}.positions", moved.positions, len(tracked.left_px))
+        pair = open_pair(file, key, moved, FEWEST_MOVED, "positions")
+        tracked = track_test(file, key, pair, progress)
         tracking += tracked.notices
         translations.append(measure_translation(rig, moved, tracked, tables.tolerances))
     for rotation in tables.rotation:
         key = f"rotation.{rotation.name}"
-        _check_count(file, f"{key}.angles", rotation.angles, len(rotation.left))
-        tracked = track_test(file, key, rotation, 2, progress)
-        _check_count(file, f"{key}.angles", rotation.angles, len(tracked.left_px))
+        pair = open_pair(file, key, rotation, FEWEST_ROTATED, "angles")
+        tracked = track_test(file, key, pair, progress)
         tracking += tracked.notices
         rotations.append(measure_rotation(rig, rotation, tracked, tables.tolerances))
     plates = [test.plate for test in translations if test.plate is not None and not test.late]
-    diagnosis = _diagnosed(file, plates) if len(plates) == len(translations) else None
+    diagnosis = diagnose(rig, plates) if plates and len(plates) == len(translations) else None
     made = AcceptanceEvaluation(
         name=tables.name,
         notices=(),
@@ -116,20 +118,6 @@ def evaluate_acceptance(
     return replace(made, notices=(*_causes(made, file), *tracking))
 
 
-def _diagnosed(file: AcceptanceFile, plates: list[MovedPlate]) -> Diagnosis | None:
-    return diagnose(file.rig, plates) if plates else None
-
-
-def _check_count(file: AcceptanceFile, key: str, values: tuple[float, ...] | None, images: int) -> None:
-    """Refuse a list of other length than the images.
-
-    Those of a stack or a video, one file, are counted after they are read.
-    """
-    if values is not None and images > 1 and len(values) != images:
-        expected = f"{images} numbers, one for each image"
-        raise InputError(TEST_IMAGES, file.path, key, found=f"{len(values)}", expected=expected)
-
-
 def _causes(evaluation: AcceptanceEvaluation, file: AcceptanceFile) -> Iterator[Notice]:
     """Yield the most likely causes of deviations, and what was not tested."""
     explained = list(_calibration_causes(evaluation))
@@ -141,9 +129,9 @@ def _causes(evaluation: AcceptanceEvaluation, file: AcceptanceFile) -> Iterator[
             yield Notice(LIKELY_CAUSE, row.test, quantity=row.label, remedy=row.remedy, **shown)
     for test, block in zip(evaluation.translations, file.tables.translation, strict=True):
         if test.late is None:
-            yield Notice(SYNCHRONISATION_UNTESTED, f"translation {test.name}")
+            yield Notice(SYNCHRONISATION_UNTESTED, test.label)
         if block.positions is None:
-            yield Notice(SCALE_UNTESTED, f"translation {test.name}")
+            yield Notice(SCALE_UNTESTED, test.label)
 
 
 def _calibration_causes(evaluation: AcceptanceEvaluation) -> Iterator[Notice]:
@@ -151,7 +139,7 @@ def _calibration_causes(evaluation: AcceptanceEvaluation) -> Iterator[Notice]:
     for test in evaluation.translations:
         if test.late:
             camera, frames = ("right", test.late) if test.late > 0 else ("left", -test.late)
-            yield Notice(LATE_FRAMES, f"translation {test.name}", camera=camera, frames=frames)
+            yield Notice(LATE_FRAMES, test.label, camera=camera, frames=frames)
             return
     found = evaluation.diagnosis
     if found is None or not found.is_significant:

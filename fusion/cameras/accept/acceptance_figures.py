@@ -61,9 +61,9 @@ def draw_noise_spectrum(test: StationaryTest) -> Figure:
     return drawn.with_title("Noise spectrum of the scene at rest", caption, main=True)
 
 
-def draw_fields(test: MotionTest, label: str) -> Figure:
+def draw_fields(test: MotionTest) -> Figure:
     """Draw epipolar residuals, scale, strain and bending over the left image."""
-    drawn = empty_figure(f"fields-{test.kind}-{test.name}".replace(" ", "-"), 6.6, 2, 2, shared_x=False)
+    drawn = empty_figure(f"fields-{test.label}".replace(" ", "-"), 6.6, 2, 2, shared_x=False)
     residual, scale, strain, bending = drawn.panels
     field = test.field
     places = test.position_px
@@ -99,7 +99,7 @@ def draw_fields(test: MotionTest, label: str) -> Figure:
         "without a pattern. A plane of epipolar residuals indicates a rotated camera, a slope across the image a "
         "wrong focal length, a curved field of scale a wrong distortion."
     )
-    return drawn.with_title(f"Residual fields, {label}", caption, main=test.kind == "translation")
+    return drawn.with_title(f"Residual fields, {test.label}", caption, main=test.kind == "translation")
 
 
 def _colours(panel: Panel, places: FloatArray, side: float, values: FloatArray, label: str, reach: float = 1.0) -> None:
@@ -117,19 +117,15 @@ def draw_steps(test: MotionTest) -> Figure:
     """Draw departures along and across the stage over its positions, with U."""
     drawn = empty_figure(f"steps-{test.name}".replace(" ", "-"), 2.9, 1, 2)
     along, across = drawn.panels
-    size = float(np.linalg.norm(test.field.rates[:3]))
-    travelled = test.centre_m @ test.direction
-    departure = travelled - travelled.mean() - size * (test.along - test.along.mean())
-    line = np.outer(test.along - test.along.mean(), size * test.direction)
-    sideways = test.centre_m - test.centre_m.mean(axis=0) - line
+    departure = test.departure_m @ test.direction
     u = np.sqrt(np.einsum("i,fij,j->f", test.direction, test.motion.covariance[:, :3, :3], test.direction))
     factor, letter = prefix(np.concatenate([departure, 2.0 * u]))
     position = 1e3 * test.along
     along.points(position, departure / factor, "steps", half_y=2.0 * u / factor, colour=BLUE)
     along.rule(0.0, colour=GREY)
     along.y.label, along.title = f"departure / {letter}m", "along the stage, scale removed"
-    factor, letter = prefix(sideways)
-    for colour, name, column in zip(COLOURS, ("x", "y", "z"), sideways.T, strict=False):
+    factor, letter = prefix(test.departure_m)
+    for colour, name, column in zip(COLOURS, ("x", "y", "z"), test.departure_m.T, strict=False):
         across.points(position, column / factor, name, colour=colour)
     across.rule(0.0, colour=GREY)
     across.y.label, across.title = f"departure / {letter}m", "from a straight line, left camera's axes"
@@ -139,7 +135,7 @@ def draw_steps(test: MotionTest) -> Figure:
         "Measured positions of the plate's centre less the straight line through them. A loop between forward and "
         "return steps is backlash or drift, a parabola a curved stage or a wrong calibration."
     )
-    return drawn.with_title(f"Steps, translation {test.name}", caption)
+    return drawn.with_title(f"Steps, {test.label}", caption)
 
 
 def draw_local_scale(tests: tuple[MotionTest, ...]) -> Figure:
@@ -152,7 +148,7 @@ def draw_local_scale(tests: tuple[MotionTest, ...]) -> Figure:
             panel.points(1e3 * place, 1e2 * (scale - 1.0), f"over the place to the {name}", colour=colour, size=2.2)
         panel.rule(0.0, colour=GREY)
         panel.x.label, panel.y.label = "place on the plate / mm", "error of the scale / %"
-        panel.title = f"translation {test.name}"
+        panel.title = test.label
     caption = (
         "Displacement of each point over the stated travel, less 1. The mean is the error of the scale, its slope and "
         "curvature over the plate are the change over the field. Each dot has the noise of its subset."

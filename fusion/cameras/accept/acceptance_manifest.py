@@ -43,6 +43,8 @@ FEWEST_STATIONARY = 32
 """Frames of a stationary scene, the fewest of which `shaker.survey_lines` finds a spectrum."""
 FEWEST_MOVED = 3
 """Frames of a translation: two do not show whether the path is straight."""
+FEWEST_ROTATED = 2
+"""Frames of a rotation: the first one, and a turned one."""
 MOST_FRAMES = 100_000
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,7 @@ def fill(file: Group, evaluation: AcceptanceEvaluation) -> None:
         for name in ("time", "pose", "predicted", "noise", "drift", "u_drift", "subset_noise", "subset_px"):
             write_value(group, name, getattr(evaluation.stationary, name))
     for test in (*evaluation.translations, *evaluation.rotations):
-        group = file.create_group(file.free_name(f"{test.kind} {test.name}"))
+        group = file.create_group(file.free_name(test.label))
         for name in ("along", "centre_m", "epipolar_px", "position_px"):
             write_value(group, name, getattr(test, name))
         write_fields(group.create_group("motion"), test.motion)
@@ -112,10 +113,8 @@ def fill(file: Group, evaluation: AcceptanceEvaluation) -> None:
 
 def tests(evaluation: AcceptanceEvaluation) -> Iterator[tuple[str, tuple[AcceptanceRow, ...]]]:
     """Yield each test by name with its rows."""
-    if evaluation.stationary is not None:
-        yield "stationary scene", evaluation.stationary.rows
-    for test in (*evaluation.translations, *evaluation.rotations):
-        yield f"{test.kind} {test.name}", test.rows
+    for name, rows in groupby(evaluation.rows, key=lambda row: row.test):
+        yield name, tuple(rows)
 
 
 def headlines(evaluation: AcceptanceEvaluation) -> list[Headline]:
@@ -184,12 +183,11 @@ def _p95(test: StationaryTest, index: int) -> float:
 def lines_table(test: StationaryTest) -> Table | None:
     """Return the vibrations found."""
     lines = test.lines
-    amplitude = np.nan_to_num(lines.amplitude) * test.arms
+    amplitude, u_amplitude = test.vibrations
 
     def strongest(index: int) -> str:
         column = int(np.argmax(amplitude[index]))
-        u = 2.0 * float(np.nan_to_num(lines.u_amplitude)[index, column] * test.arms[column])
-        return quantity_text(1e9 * float(amplitude[index, column]), 1e9 * u, "nm")
+        return quantity_text(1e9 * float(amplitude[index, column]), 2e9 * float(u_amplitude[index, column]), "nm")
 
     columns: list[TableColumn[int]] = [
         page_column("frequency", lambda index: number_text(float(lines.frequency_hz[index]), 4)),
@@ -231,9 +229,8 @@ def page_context(evaluation: AcceptanceEvaluation) -> dict[str, Any]:
         "moved": [
             {
                 "id": f"{test.kind}-{number}",
-                "name": f"{capitalise(test.kind)} {test.name}",
-                "figures": [draw_fields(test, f"{test.kind} {test.name}")]
-                + ([draw_steps(test)] if test.kind == "translation" else []),
+                "name": capitalise(test.label),
+                "figures": [draw_fields(test)] + ([draw_steps(test)] if test.kind == "translation" else []),
             }
             for number, test in enumerate(moved, 1)
         ],

@@ -23,7 +23,7 @@ from photogram.camera import (
     principal_components,
     triangulate,
 )
-from shakercal._common.arrays import Arrays, FloatArray
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.digits import quantity_text
 
 FX, FY, CX, CY, K1 = range(5)
@@ -171,6 +171,16 @@ def _named(names: Sequence[str], unit: str, factor: float = 1.0) -> Callable[[Fl
     return shown
 
 
+def _principal_point(side: str, places: IntArray) -> FaultKind:
+    return FaultKind(
+        f"principal_{side}",
+        f"a wrong principal point of the {side} camera",
+        lambda _: _unit(*places[[CX, CY]]),
+        _named(("x", "y"), "px"),
+        "Calibrate again, with views that are tilted and rotated and reach all corners.",
+    )
+
+
 CALIBRATE = "Fix the cameras and calibrate again."
 FAULTS = (  # the more frequent first
     FaultKind(
@@ -201,20 +211,8 @@ FAULTS = (  # the more frequent first
         _named(("true over measured length, less 1:",), "%", 1e2),
         "Measure the spacing of the target, and check the steps of the stage and their unit.",
     ),
-    FaultKind(
-        "principal_left",
-        "a wrong principal point of the left camera",
-        lambda _: _unit(*LEFT[[CX, CY]]),
-        _named(("x", "y"), "px"),
-        "Calibrate again, with views that are tilted and rotated and reach all corners.",
-    ),
-    FaultKind(
-        "principal_right",
-        "a wrong principal point of the right camera",
-        lambda _: _unit(*RIGHT[[CX, CY]]),
-        _named(("x", "y"), "px"),
-        "Calibrate again, with views that are tilted and rotated and reach all corners.",
-    ),
+    _principal_point("left", LEFT),
+    _principal_point("right", RIGHT),
 )
 
 
@@ -282,9 +280,9 @@ class _RigidityProblem:
         value = np.zeros(columns.shape[1])
         common = np.concatenate([-self.nuisance, self.calibration], axis=1)
         penalty = np.eye(common.shape[1])
+        step = self._steps(columns)
         for _ in range(1 if kind is None else ROUNDS):
             base = self.values(self.rig.perturbed(columns @ value))
-            step = self._steps(columns)
             by_fault = [
                 (self.values(self.rig.perturbed(columns @ (value + s))) - base) / s[k]
                 for k, s in enumerate(np.diag(step))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,11 @@ class MotionTest(Arrays, shapes="along F; centre_m F 3; epipolar_px N; position_
     tracked: TrackedTest
 
     @property
+    def label(self) -> str:
+        """Kind and name, as in the rows."""
+        return f"{self.kind} {self.name}"
+
+    @property
     def travel(self) -> float:
         """Whole distance or angle."""
         return float(np.ptp(self.along))
@@ -67,6 +72,12 @@ class MotionTest(Arrays, shapes="along F; centre_m F 3; epipolar_px N; position_
         """Direction (3,) of the motion in the left camera's frame."""
         mean = self.field.axes @ self.field.rates[:3]
         return np.asarray(mean / np.linalg.norm(mean))
+
+    @property
+    def departure_m(self) -> FloatArray:
+        """Displacement (F, 3) of the centre less the straight line over the travel."""
+        line = np.column_stack([np.ones_like(self.along), self.along])
+        return np.asarray(self.centre_m - line @ (np.linalg.pinv(line) @ self.centre_m))
 
 
 def frames_late(tracked: TrackedTest) -> int | None:
@@ -104,8 +115,6 @@ def measure_translation(
     moved = position - position[0]
     centre = moved.mean(axis=1)
     along = np.array(block.positions) if block.positions is not None else _travelled(centre)
-    field = apparent_field(position[0], moved, along)
-    motion = fit_motion(tracked.points, None, tracked.centre_m)
     left, right = fitted_path(rig, tracked, along)
     travel = float(np.ptp(along))
     u_scale = None
@@ -114,12 +123,21 @@ def measure_translation(
     noise = plate_noise(rig, left, right, travel)
     plate = MovedPlate(left, right, travel, u_scale, block.rotation_uncertainty, noise)
     epipolar, *_ = epipolar_residual(rig, tracked.left_px, tracked.right_px)
-    late = frames_late(tracked)
-    parts = (along, centre, motion, field, epipolar.mean(axis=0), tracked.left_px.mean(axis=0), late, plate)
-    test = MotionTest(block.name, "translation", *parts, (), tracked)
-    return MotionTest(
-        block.name, "translation", *parts, tuple(_translation_rows(test, block, tolerances, u_scale)), tracked
+    test = MotionTest(
+        name=block.name,
+        kind="translation",
+        along=along,
+        centre_m=centre,
+        motion=fit_motion(tracked.points, None, tracked.centre_m),
+        field=apparent_field(position[0], moved, along),
+        epipolar_px=epipolar.mean(axis=0),
+        position_px=tracked.left_px.mean(axis=0),
+        late=frames_late(tracked),
+        plate=plate,
+        rows=(),
+        tracked=tracked,
     )
+    return replace(test, rows=tuple(_translation_rows(test, block, tolerances, u_scale)))
 
 
 def _spread(along: FloatArray) -> float:
@@ -139,21 +157,18 @@ def _translation_rows(
     test: MotionTest, block: TranslationBlock, tolerances: Tolerances, u_scale: float | None
 ) -> Iterator[AcceptanceRow]:
     """Yield the rows of a translation."""
-    field, travel, pixel, name = test.field, test.travel, test.tracked.pixel_m, f"translation {block.name}"
+    field, travel, pixel, name = test.field, test.travel, test.tracked.pixel_m, test.label
     if test.late is not None:
         yield AcceptanceRow(name, "synchronisation", "frames of delay", float(test.late), 0.0, 0.5, "1")
     yield _epipolar_row(name, test, tolerances)
-    fit = np.column_stack([np.ones_like(test.along), test.along])
-    line = np.linalg.pinv(fit) @ test.centre_m
-    departure = test.centre_m - fit @ line
-    across = np.linalg.norm(departure - np.outer(departure @ test.direction, test.direction), axis=1)
+    off = test.departure_m @ test.direction
+    across = np.linalg.norm(test.departure_m - np.outer(off, test.direction), axis=1)
     noise = _frame_noise(test)
     if u_scale is not None:
-        size = float(np.linalg.norm(line[1]))
+        size = float(np.linalg.norm(field.rates[:3]))
         u = float(np.hypot(size * u_scale, field.covariance[:3, :3].trace() ** 0.5))
         label = "error of the scale (measured over stated travel)"
         yield AcceptanceRow(name, "scale", label, size - 1.0, u, tolerances.scale, "share")
-        off = departure @ test.direction
         u = float(np.hypot(block.position_uncertainty, noise))
         cause, remedy = "the stage misses its positions", "Check the steps, backlash and settling time of the stage."
         limit = tolerances.position_px * pixel
@@ -208,17 +223,27 @@ def measure_rotation(rig: StereoRig, block: RotationBlock, tracked: TrackedTest,
     rest = position[0] - tracked.centre_m
     carried = position - tracked.centre_m - motion.pose[:, None, :3]
     along = np.array(block.angles)
-    field = apparent_field(position[0], carried @ rotations - rest, along)
     epipolar, *_ = epipolar_residual(rig, tracked.left_px, tracked.right_px)
-    centre = (position - position[0]).mean(axis=1)
-    parts = (along, centre, motion, field, epipolar.mean(axis=0), tracked.left_px.mean(axis=0), None, None)
-    test = MotionTest(block.name, "rotation", *parts, (), tracked)
-    return MotionTest(block.name, "rotation", *parts, tuple(_rotation_rows(test, block, tolerances)), tracked)
+    test = MotionTest(
+        name=block.name,
+        kind="rotation",
+        along=along,
+        centre_m=(position - position[0]).mean(axis=1),
+        motion=motion,
+        field=apparent_field(position[0], carried @ rotations - rest, along),
+        epipolar_px=epipolar.mean(axis=0),
+        position_px=tracked.left_px.mean(axis=0),
+        late=None,
+        plate=None,
+        rows=(),
+        tracked=tracked,
+    )
+    return replace(test, rows=tuple(_rotation_rows(test, block, tolerances)))
 
 
 def _rotation_rows(test: MotionTest, block: RotationBlock, tolerances: Tolerances) -> Iterator[AcceptanceRow]:
     """Yield the rows of a rotation: angle, axis, hand, and deformation."""
-    name, centred = f"rotation {block.name}", test.along - test.along.mean()
+    name, centred = test.label, test.along - test.along.mean()
     spread = float(np.sqrt(centred @ centred))
     vector = centred @ test.motion.pose[:, 3:] / spread**2
     size = float(np.linalg.norm(vector))

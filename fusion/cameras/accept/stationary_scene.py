@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.cameras.accept.acceptance_manifest import StationaryBlock, Tolerances
 from fusion.cameras.accept.acceptance_rows import AcceptanceRow
-from fusion.cameras.accept.tracked_test import TrackedTest, about_centre
+from fusion.cameras.accept.tracked_test import TrackedTest
 from photogram.camera import StereoRig
 from photogram.measure.epipolar import check_epipolar
 from photogram.measure.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED
@@ -23,8 +23,6 @@ COMPONENTS = (*AXES, *(f"r{axis}" for axis in AXES))
 """Translations along, and rotations about, the axes of the left camera."""
 FALSE_ALARM = 1e-3
 """Probability that noise alone shows a vibration."""
-LINE_TERMS = 2
-"""Offset and slope of a drift."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,7 +40,8 @@ class StationaryTest(
     predicted : (6,), standard deviation by the Cramér-Rao bound of these images.
     noise : (6,), measured standard deviation about drift and vibrations.
     drift, u_drift : (6,), change over the record with standard uncertainty.
-    lines : vibrations; None if there are too few frames.
+    freedom : degrees of freedom of the noise.
+    lines : vibrations.
     subset_noise, subset_predicted : (N, 3), standard deviation of single points, m.
     subset_px : (N, 2), their places in the left image.
     lever_m : distance of the outermost point from the centre.
@@ -55,6 +54,7 @@ class StationaryTest(
     noise: FloatArray
     drift: FloatArray
     u_drift: FloatArray
+    freedom: int
     lines: Survey
     subset_noise: FloatArray
     subset_predicted: FloatArray
@@ -66,14 +66,20 @@ class StationaryTest(
     notices: tuple[Notice, ...]
 
     @property
-    def freedom(self) -> int:
-        """Degrees of freedom of the noise."""
-        return len(self.time) - LINE_TERMS - 2 * len(self.lines.frequency_hz)
-
-    @property
     def arms(self) -> FloatArray:
         """Largest displacement of a point per unit of each component (6,)."""
         return np.array([1.0, 1.0, 1.0, self.lever_m, self.lever_m, self.lever_m])
+
+    @property
+    def vibrations(self) -> tuple[FloatArray, FloatArray]:
+        """Largest amplitudes of a point (L, 6) with standard uncertainty.
+
+        By each component of each line.
+        """
+        return (
+            np.nan_to_num(self.lines.amplitude) * self.arms,
+            np.nan_to_num(self.lines.u_amplitude) * self.arms,
+        )
 
 
 def measure_stationary(
@@ -82,7 +88,8 @@ def measure_stationary(
     """Return the noise floor, drift and vibrations of a scene at rest, with the rows."""
     body = tracked.body
     assert body is not None
-    pose, covariance = about_centre(body.motion, tracked.centre_m)
+    motion = body.motion.about(tracked.centre_m)
+    pose = motion.pose
     fitted = np.isfinite(pose).all(axis=1)
     frames = np.flatnonzero(fitted)
     number = np.arange(len(pose))
@@ -101,7 +108,7 @@ def measure_stationary(
     duration = float(np.ptp(time))
     spread = float(np.sqrt(np.sum((time[fitted] - time[fitted].mean()) ** 2)))
     offset = tracked.points.position_m[0] - tracked.centre_m
-    predicted = np.sqrt(np.mean(np.diagonal(covariance[fitted][1:], axis1=1, axis2=2), axis=0))
+    predicted = np.sqrt(np.mean(np.diagonal(motion.covariance[fitted][1:], axis1=1, axis2=2), axis=0))
     later = tracked.points.position_m[1:]
     made = StationaryTest(
         time=time,
@@ -110,6 +117,7 @@ def measure_stationary(
         noise=noise,
         drift=parts[1] * duration,
         u_drift=noise * _colour(left_over) * duration / spread,
+        freedom=freedom,
         lines=lines,
         subset_noise=np.std(later, axis=0, ddof=1),
         subset_predicted=np.sqrt(np.mean(np.diagonal(tracked.points.covariance_m2[1:], axis1=2, axis2=3), axis=0)),
@@ -154,10 +162,10 @@ def _rows(test: StationaryTest, tolerances: Tolerances) -> Iterator[AcceptanceRo
     label, size_m, u = "strongest vibration", 0.0, float(np.max(test.noise * test.arms)) * np.sqrt(2.0 / test.freedom)
     cause = remedy = ""
     if len(test.lines.frequency_hz):
-        amplitude = np.nan_to_num(test.lines.amplitude) * test.arms
+        amplitude, u_amplitude = test.vibrations
         row, column = np.unravel_index(int(np.argmax(amplitude)), amplitude.shape)
         size_m = float(amplitude[row, column])
-        u = float(np.nan_to_num(test.lines.u_amplitude)[row, column] * test.arms[column])
+        u = float(u_amplitude[row, column])
         where = f"{test.lines.frequency_hz[row]:.4g} " + ("Hz" if test.has_rate else "periods per frame")
         label = f"strongest vibration, {where}, component {COMPONENTS[column]}"
         cause = f"a vibration at {where} of body, stand or floor, or an alias of a faster one"

@@ -13,12 +13,11 @@ from fusion.cameras.accept.acceptance_notices import TEST_IMAGES, TOO_FEW_SUBSET
 from fusion.cameras.accept.apparent_field import CUBIC, plate_axes, polynomials
 from fusion.errors import InputError, as_input_error
 from photogram.camera import Points3D, StereoRig, triangulate
-from photogram.geometry import RigidTransform, displacement_jacobian
+from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import ImageSequence, inspect_first_image
 from photogram.measure.body import BodyMotion, body_motion, follow_block
 from photogram.measure.follow import BodyScene, FollowedBlock, iterate_blocks, prepare_body
-from photogram.motion import RigidMotion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.texture import radius_from_image_px
 from photogram.subsets.track import build_tracks
@@ -33,8 +32,12 @@ FEWEST_SUBSETS = 30
 """Of a plate: fewer do not determine the cubic polynomials that separate smooth errors from noise."""
 OUTLIER = 6.0
 """Robust standard deviations from a cubic polynomial beyond which a subset is a mismatch."""
+SMALLEST_MOTION_PX = 1e-3
+"""Largest motion of a subset below which all images are the same; their noise alone moves it farther."""
 STATIONARY_SUBSET_FRAMES = 200
 """Frames of a stationary scene in which subsets are searched; their scatter is then known to 5 %."""
+OpenedPair = tuple[tuple[ImageSequence, ImageSequence], int]
+"""Images of both cameras, and the radius of the subsets."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,10 +64,11 @@ class TrackedTest(Arrays, shapes="left_px F N 2; right_px F N 2; centre_m 3"):
     notices: tuple[Notice, ...] = ()
 
 
-def open_pair(
-    file: AcceptanceFile, key: str, block: ImagePair, fewest: int
-) -> tuple[tuple[ImageSequence, ImageSequence], int]:
-    """Return the images of both cameras, checked, and the radius of the subsets."""
+def open_pair(file: AcceptanceFile, key: str, block: ImagePair, fewest: int, listed: str = "") -> OpenedPair:
+    """Return the images of both cameras, checked, and the radius of the subsets.
+
+    `listed`: key of the numbers that are stated for each image.
+    """
     sequences, radius = list[ImageSequence](), 0
     cameras = (("left", block.left, file.rig.left), ("right", block.right, file.rig.right))
     for side, paths, camera in cameras:
@@ -85,14 +89,23 @@ def open_pair(
     if not fewest <= len(left) <= MOST_FRAMES:
         expected = f"{fewest} to {MOST_FRAMES} images"
         raise InputError(TEST_IMAGES, file.path, f"{key}.left", found=f"{len(left)}", expected=expected)
+    numbers = getattr(block, listed) if listed else None
+    if numbers is not None and len(numbers) != len(left):
+        expected = f"{len(left)} numbers, one for each image"
+        raise InputError(TEST_IMAGES, file.path, f"{key}.{listed}", found=f"{len(numbers)}", expected=expected)
     return (left, right), radius
 
 
 def track_test(
-    file: AcceptanceFile, key: str, block: ImagePair, fewest: int, progress: ProgressCallback, *, at_rest: bool = False
+    file: AcceptanceFile,
+    key: str,
+    pair: OpenedPair,
+    progress: ProgressCallback,
+    *,
+    at_rest: bool = False,
 ) -> TrackedTest:
     """Return the tracked subsets of a test; `at_rest`: with the motion by the grey values."""
-    images, radius = open_pair(file, key, block, fewest)
+    images, radius = pair
     frames = STATIONARY_SUBSET_FRAMES if at_rest else None
     tables = file.tables
     settings = TrackSettings(radius, degree=SPLINE_DEGREE, region=tables.region, mask=tables.mask, frames=frames)
@@ -106,7 +119,19 @@ def track_test(
         body = body_motion(scene, blocks) if at_rest else None
     of_images = [notice for side in images for notice in side.notices]
     notices = (*of_images, *(scene.grid.notices if body is None else body.notices))
-    return replace(_tracked(file, key, scene, blocks), body=body, notices=notices)
+    found = _tracked(file, key, scene, blocks)
+    if not at_rest:
+        _check_motion(file, key, found)
+    return replace(found, body=body, notices=notices)
+
+
+def _check_motion(file: AcceptanceFile, key: str, tracked: TrackedTest) -> None:
+    """Refuse a body at rest, whose motion has neither a direction nor a scale."""
+    for side, position in (("left", tracked.left_px), ("right", tracked.right_px)):
+        moved = np.linalg.norm(position - position[0], axis=2).max()
+        if moved < SMALLEST_MOTION_PX:
+            expected = "images of a body that moves"
+            raise InputError(TEST_IMAGES, file.path, f"{key}.{side}", found="the same image", expected=expected)
 
 
 def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[FollowedBlock]) -> TrackedTest:
@@ -144,14 +169,6 @@ def _inliers(position_m: FloatArray) -> BoolArray:
         scatter = 1.4826 * np.median(left_over[good], axis=0) + 1e-12
         good = np.asarray((left_over <= OUTLIER * scatter).all(axis=1))
     return good
-
-
-def about_centre(motion: RigidMotion, centre_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return poses (F, 6) and covariances of a small motion about another point."""
-    slope = np.eye(6)
-    slope[:3] = displacement_jacobian((centre_m - motion.origin_m)[None])[0]
-    pose = motion.pose @ slope.T
-    return pose, slope @ motion.covariance @ slope.T
 
 
 def fitted_path(rig: StereoRig, tracked: TrackedTest, along: FloatArray) -> tuple[FloatArray, FloatArray]:
