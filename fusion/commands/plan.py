@@ -151,12 +151,13 @@ def write_figure(file: Path, draw: Callable[[str], bytes]) -> None:
 def show_table(options: argparse.Namespace, name: str, text: str, print_text: Callable[[], None]) -> None:
     """Write a table if requested; print its rows as JSON, or a text."""
     from fusion.report.atomic_files import write_atomically
-    from fusion.report.folder import command_json
-    from fusion.report.table import csv_rows
 
     if options.csv:
         write_atomically(options.csv, text)
     if options.json:
+        from fusion.report.folder import command_json
+        from fusion.report.table import csv_rows
+
         print(command_json(name, rows=csv_rows(text)))
     else:
         print_text()
