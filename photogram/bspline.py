@@ -200,10 +200,16 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
 
     It is the response to one bright column.
     """
+    values, gradients = evaluate(_spline_of_column(degree), np.column_stack([x + 32.0, np.full_like(x, 4.0)]))
+    return values, gradients[:, 0]
+
+
+@cache
+def _spline_of_column(degree: int) -> Spline:
+    """Return the spline of an image with one bright column."""
     impulse = np.zeros((2 * PADDING_PX, 65))
     impulse[:, 32] = 1.0
-    values, gradients = evaluate(spline_of_image(impulse, degree), np.column_stack([x + 32.0, np.full_like(x, 4.0)]))
-    return values, gradients[:, 0]
+    return spline_of_image(impulse, degree)
 
 
 @njit()
