@@ -92,7 +92,8 @@ def check_new_file(path: Path, *, force: bool) -> None:
     """Raise `InputError` for an existing path (a file: unless `force`) or a missing folder."""
     if path.exists() and not (force and path.is_file()):
         found = f"a {'file' if path.is_file() else 'folder'} of this name"
-        raise InputError(OUTPUT_EXISTS, path, found=found, expected="a new file (--force replaces it)")
+        expected = "a new file (--force replaces it)" if path.is_file() else "the name of a file"
+        raise InputError(OUTPUT_EXISTS, path, found=found, expected=expected)
     if not path.absolute().parent.is_dir():
         found = f"no folder {path.parent}"
         raise InputError(OUTPUT_FOLDER_MISSING, path, found=found, expected="a file in an existing folder")

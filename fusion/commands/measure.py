@@ -196,6 +196,8 @@ def _look_options(parser: Parser) -> None:
 @command(_look_options, "recordings/Fz-0080 --aim 0.1")
 def look(options: argparse.Namespace) -> int:
     """Assess a recording within seconds: defects and achievable uncertainty."""
+    if options.page is not None:
+        check_new_file(options.page, force=True)
     if options.live:
         if options.rate is None:
             options.usage_error("the following arguments are required with --live: --rate")

@@ -127,9 +127,11 @@ def rig_faults(given: Sequence[str]) -> dict[str, float]:
             size = float(number) if equals else FAULTS[name].size
         except ValueError:
             size = math.nan
-        if not (math.isfinite(size) and size > 0.0):
-            unit = FAULTS[name].unit
-            raise ValueError(f"violate: expected a number above 0 ({unit}) for {name}, found {number or 'nothing'}")
+        unit = FAULTS[name].unit
+        whole = unit != "frames" or size == round(size)
+        if not (math.isfinite(size) and size > 0.0 and whole):
+            expected = f"a {'whole ' if unit == 'frames' else ''}number above 0 ({unit})"
+            raise ValueError(f"violate: expected {expected} for {name}, found {number or 'nothing'}")
         sizes[name] = size
     return sizes
 

@@ -36,7 +36,7 @@ _TRAILING = re.compile(
     r"(.*?[^\W_]\)?)(?:[ _](?=\S{1,3}/|[munµμ]s|m[VN]|[µμu]V|mm|[µμu]m)|_(?=[VNg]|kN|Nm))"
     r"([cmµμun]?m/s(?:\^?2|²)?|[mµμu]?V/V|(?:°|deg|rad)/s|[mµμun]s|[mµμu]?V|[µμum]m|[mk]?N|Nm|g)"
 )
-_SLASHED = re.compile(rf"(.*?\S)\s*(?:/|,|:|\bin\b)\s*({_UNITS.pattern})", re.IGNORECASE)
+_SLASHED = re.compile(rf"(.*?\S)(?:\s*[/,]\s*|\s*:\s+|\s+in\s+)({_UNITS.pattern})", re.IGNORECASE)
 _VOLTS_PER = re.compile(r".*(?:[mµμu]|\d\s?)V\s*/\s*(?!V$)(?:\([^()]*\)|[^\s/()\]>}]+)")  # ICP 100 mV/g: in V
 _NUMBER = r"([-+]?\d+(?:[., '\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _RATE = re.compile(

@@ -199,20 +199,31 @@ def test_images_of_another_size_and_a_small_region_are_refused(
     assert TEST_IMAGES.code in refused("accept", folder, "-q")
 
 
-@pytest.mark.parametrize("test", ["translation", "rotation"])
+@pytest.mark.parametrize("test", ["stationary", "translation", "rotation"])
+@pytest.mark.parametrize("noisy", [False, True])
 def test_the_same_image_in_all_frames_is_refused(
-    test: str, rewritten: Callable[..., Path], refused: RefusedCommand
+    test: str, noisy: bool, rewritten: Callable[..., Path], refused: RefusedCommand
 ) -> None:
-    folder = rewritten(stationary=None, **{"rotation" if test == "translation" else "translation": None})
-    images = folder / ("x" if test == "translation" else "turned")
+    if test == "stationary" and noisy:
+        pytest.skip("these are right")
+    others = {"stationary", "translation", "rotation"} - {test}
+    folder, rng = rewritten(**dict.fromkeys(others)), np.random.default_rng(0)
+    images = folder / {"stationary": "rest", "translation": "x", "rotation": "turned"}[test]
     for side in ("left", "right"):
-        first, *others = sorted(images.glob(f"{side}-*.png"))
-        for other in others:
-            shutil.copyfile(first, other)
+        first, *later = sorted(images.glob(f"{side}-*.png"))
+        grey = cv2.imread(str(first), cv2.IMREAD_GRAYSCALE)
+        for path in later:
+            cv2.imwrite(str(path), grey - (grey > 9) * rng.integers(0, 3 if noisy else 1, grey.shape, np.uint8))
     sentence = refused("accept", folder, "-q")
     assert TEST_IMAGES.code in sentence
     assert f"{test}." in sentence
     assert not (folder / "accept").exists()
+
+
+def test_half_a_late_frame_is_refused(tmp_path: Path, refused: RefusedCommand) -> None:
+    assert "late-frame" in refused(
+        "simulate", tmp_path / "new", "--preset", "acceptance", "--violate", "late-frame=0.5"
+    )
 
 
 @pytest.mark.parametrize("truth", [b"{", b"\xff", b"3", b'{"files": 5}', b'{"files": [5, "\\u0000"]}', b"[]"])

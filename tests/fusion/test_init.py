@@ -432,6 +432,13 @@ def test_what_cannot_be_drafted_is_one_sentence_and_changes_nothing(
     assert folder_contents(tmp_path) == before
 
 
+def test_a_folder_of_which_nothing_can_be_read_gets_no_draft(tmp_path, refused):
+    (tmp_path / "broken.tdms").write_bytes(b"TDSx" * 20)
+    assert f"{tmp_path}: " in refused("init", tmp_path)
+    assert "broken.tdms" in refused("init", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["broken.tdms"]
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n", b"CDF\x01" * 200])
 def test_files_that_cannot_be_read_are_left_out_by_name(tmp_path, content):
     _one_laser(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from fusion.errors import InputError, as_input_error
 from photogram.camera import Points3D, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
-from photogram.images.sequence import ImageSequence, inspect_first_image
+from photogram.images.sequence import ImageSequence, find_copied_frames, inspect_first_image
 from photogram.measure.body import BodyMotion, body_motion, follow_block
 from photogram.measure.follow import BodyScene, FollowedBlock, iterate_blocks, prepare_body
 from photogram.subsets.icgn import TrackSettings
@@ -32,8 +33,8 @@ FEWEST_SUBSETS = 30
 """Of a plate: fewer do not determine the cubic polynomials that separate smooth errors from noise."""
 OUTLIER = 6.0
 """Robust standard deviations from a cubic polynomial beyond which a subset is a mismatch."""
-SMALLEST_MOTION_PX = 1e-3
-"""Largest motion of a subset below which all images are the same; their noise alone moves it farther."""
+SMALLEST_MOTION = 3.0
+"""Root mean square of the subsets' motion over its standard uncertainty, below which a body is at rest; chosen."""
 STATIONARY_SUBSET_FRAMES = 200
 """Frames of a stationary scene in which subsets are searched; their scatter is then known to 5 %."""
 OpenedPair = tuple[tuple[ImageSequence, ImageSequence], int]
@@ -89,6 +90,12 @@ def open_pair(file: AcceptanceFile, key: str, block: ImagePair, fewest: int, lis
     if not fewest <= len(left) <= MOST_FRAMES:
         expected = f"{fewest} to {MOST_FRAMES} images"
         raise InputError(TEST_IMAGES, file.path, f"{key}.left", found=f"{len(left)}", expected=expected)
+    for side, images in zip(("left", "right"), sequences, strict=True):
+        if (copied := find_copied_frames(images)).any():
+            found = f"{Path(images.names[int(np.argmax(copied))]).name}, a copy of an earlier image"
+            raise InputError(
+                TEST_IMAGES, file.path, f"{key}.{side}", found=found, expected="images with their own noise"
+            )
     numbers = getattr(block, listed) if listed else None
     if numbers is not None and len(numbers) != len(left):
         expected = f"{len(left)} numbers, one for each image"
@@ -127,11 +134,11 @@ def track_test(
 
 def _check_motion(file: AcceptanceFile, key: str, tracked: TrackedTest) -> None:
     """Refuse a body at rest, whose motion has neither a direction nor a scale."""
-    for side, position in (("left", tracked.left_px), ("right", tracked.right_px)):
-        moved = np.linalg.norm(position - position[0], axis=2).max()
-        if moved < SMALLEST_MOTION_PX:
-            expected = "images of a body that moves"
-            raise InputError(TEST_IMAGES, file.path, f"{key}.{side}", found="the same image", expected=expected)
+    moved = tracked.points.position_m - tracked.points.position_m[0]
+    covariance = tracked.points.covariance_m2 + tracked.points.covariance_m2[0]
+    squared = np.sum(moved * np.linalg.solve(covariance, moved[..., None])[..., 0], axis=2)
+    if np.mean(squared, axis=1).max() < SMALLEST_MOTION**2 * moved.shape[2]:
+        raise InputError(TEST_IMAGES, file.path, f"{key}.left", found="a body at rest", expected="one that moves")
 
 
 def _tracked(file: AcceptanceFile, key: str, scene: BodyScene, blocks: Sequence[FollowedBlock]) -> TrackedTest:

@@ -92,11 +92,12 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
 
 def _survey(folder: Path) -> list[Inventory]:
     """Return the contents of the recordings of a folder that has any."""
-    found = [survey_folder(recording) for recording in _recordings(folder)]
-    found = [inventory for inventory in found if not inventory.empty]
+    surveyed = [survey_folder(recording) for recording in _recordings(folder)]
+    found = [inventory for inventory in surveyed if not inventory.empty]
     if not found:
         expected = "recorders' files or images in this folder or directly below"
-        raise InputError(NO_RECORDED_FILES, folder, found=_deeper(folder) or "none", expected=expected)
+        unreadable = "; ".join(text for inventory in surveyed for text in inventory.unreadable)
+        raise InputError(NO_RECORDED_FILES, folder, found=unreadable or _deeper(folder) or "none", expected=expected)
     return found
 
 

@@ -154,8 +154,9 @@ class Inventory:
 
     @property
     def empty(self) -> bool:
-        """Whether it has no recorded data."""
-        return not (self.daqs or self.camera_systems or self.cameras or self.points)
+        """Whether it has no recorded data that can be read."""
+        channels = any(daq.channels for daq in self.daqs)
+        return not (channels or self.camera_systems or self.cameras or self.points)
 
 
 def survey_folder(folder: Path) -> Inventory:

@@ -185,12 +185,12 @@ def _final(recording: Path, options: LiveOptions, output: LiveOutput) -> bool | 
         output.line(text, "result", name=name, value=value, U=U, unit=unit)
     warnings = sum(notice.severity == "warning" for notice in evaluation.notices)
     output.line(f"  {count_text(warnings, 'warning')}; shakercal run writes results and notices.", "warnings")
-    percents = [100 * U / value for _, value, U, _ in results]
-    if output.page is not None and percents:
+    reached = options.until is None or any(options.until * value >= U for _, value, U, _ in results[:1])
+    if output.page is not None and results:
         lines = tuple(f"{name}: {quantity_text(value, U, unit)}" for name, value, U, unit in results)
-        reached = options.until is None or max(percents) <= 100 * options.until
-        output.page.show_live(LiveHeading(f"U {_percent(max(percents))}", lines, reached))
-    return options.until is None or any(options.until * value >= U for _, value, U, _ in results[:1])
+        _, value, U, _ = results[0]
+        output.page.show_live(LiveHeading(f"U {_percent(100 * U / value)}", lines, reached))
+    return reached
 
 
 def _final_results(evaluation: Evaluation) -> Iterator[tuple[str, float, float, str]]:

@@ -45,8 +45,8 @@ class PoleValue(NamedTuple):
 
 
 def is_data_file(path: Path) -> bool:
-    """Whether a path is a file of channels, not a manifest or a folder."""
-    return path.is_file() and path.suffix.lower() != ".toml"
+    """Whether a path, which may be missing, is a file of channels, not a manifest or a folder."""
+    return path.suffix.lower() not in ("", ".toml") and not path.is_dir()
 
 
 def fitted_poles(file: str, fit: StepFit) -> Iterator[PoleValue]:
