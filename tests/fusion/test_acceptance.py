@@ -152,6 +152,8 @@ def test_a_late_camera_is_named(rewritten: Callable[..., Path]) -> None:
     late = sorted((folder / "x").glob("right-*.png"))
     for number in range(len(late) - 1, 0, -1):
         shutil.copyfile(late[number - 1], late[number])
+    own = cv2.imread(str(late[0]), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(late[0]), own ^ np.uint8(1))
     evaluation = evaluate_acceptance(read_acceptance(folder), {})
     assert evaluation.verdict == "FAIL"
     (notice,) = [notice for notice in evaluation.notices if notice.code == LATE_FRAMES.code]
