@@ -244,9 +244,13 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
 
 @cache
 def nine_points(side_px: int) -> FloatArray:
-    """Return offsets (9, 2) from a cell's centre at which interpolated noise is evaluated."""
-    third = side_px / 3.0
-    line = np.array([-third, 0.0, third])
+    """Return offsets (9, 2) from a cell's centre to the pixels at which interpolated noise is evaluated.
+
+    Only pixels have the sub-pixel position of all others: noise depends on it.
+    """
+    last = side_px - 1
+    near = round(side_px / 6 - 0.5)
+    line = np.array([near, last // 2, last - near]) - last / 2.0
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
     return np.column_stack([dx, dy])
 

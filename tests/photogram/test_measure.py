@@ -779,6 +779,18 @@ def test_sums_of_a_cell_against_numpy(make_texture, degree):
     np.testing.assert_allclose(normalised / rms[0], residual / rms[1], rtol=0.0, atol=1e-3)
 
 
+@pytest.mark.parametrize("side_px", [13, 14, 15, 16, 17, 18])
+@pytest.mark.parametrize("shift", [0.0, 0.5])
+def test_the_expected_misfit_is_that_of_noise_in_cells_of_any_size(make_texture, side_px, shift):
+    texture, rng = make_texture(seed=6, waves=60), np.random.default_rng(17)
+    exact = [1000 + 200 * texture.image((200, 200), lambda p, u=u: p - [u, u]) for u in (0.0, shift)]
+    first, second = (grey + np.sqrt(NOISE.variance(grey)) * rng.normal(size=grey.shape) for grey in exact)
+    area = np.pad(np.ones((160, 160), dtype=bool), 20)
+    cells = prepare_cells(spline_of_image(first), area, side_px, NOISE, 4095)
+    found = compare_cells(cells, spline_of_image(second), np.tile([shift, 0, 0, shift, 0, 0], (len(cells.count), 1)))
+    assert found.misfit.sum() / found.misfit_noise.sum() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 160**2))
+
+
 def test_cells_that_leave_the_image_and_saturated_pixels_do_not_count(make_texture):
     image = 1000 + 200 * make_texture(seed=4, waves=60).image((60, 50))
     image[20:24, 20:30] = 4095
