@@ -1,0 +1,156 @@
+"""Predicted against obtained U of further recordings, and proposals against random ones of equal time.
+
+    python benchmarks/next_recordings.py [--campaigns 4] [--alternatives 6] [--seed 1] [--write]
+
+The eight recordings of the preset `matrix` at 80 Hz after the phasors (`simulated_phasors`, which shares no derivative
+with the evaluation) are evaluated as one campaign. `fusion.planning.next_recordings` proposes further ones for some
+elements and hours. These, and random choices that fill the same time, are simulated with errors of their own and
+evaluated together with the eight. `--write` puts the table into docs/next-recordings.md. Five minutes on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from coverage_poses import RUNS, Named, recorded
+from marked import markdown_row, markdown_table, write_marked
+from numpy.typing import NDArray
+from simulated_phasors import Channel, PhasorSetup
+
+from fusion.campaign.joint_evaluation import with_unique_names
+from fusion.campaign.matrix import MatrixFit, fit_matrix
+from fusion.campaign.recording_results import RecordingResults
+from fusion.campaign.unknowns import apply_joint_estimate
+from fusion.planning.next_recordings import Candidate, Element, Minutes, joint_information, list_candidates, propose
+from shaker.labels import LOAD_COMPONENTS
+
+FloatArray = NDArray[np.float64]
+PAGE = Path(__file__).parent.parent / "docs" / "next-recordings.md"
+MAIN: tuple[Element, ...] = tuple((name, place) for place, name in enumerate(LOAD_COMPONENTS))
+CASES: tuple[tuple[str, tuple[Element, ...], float], ...] = (
+    ("all six main", MAIN, 4.0),
+    ("Fz/Fz", (("Fz", 2),), 2.0),
+    ("My/Fx", (("My", 0),), 1.0),
+    ("Mx/Mx, My/My, Mz/Mz", MAIN[3:], 2.0),
+)
+LENGTH_S = 120.0
+HEAD = (
+    "| elements | hours | proposed: U / now, predicted | obtained | random: U / now, predicted | obtained | best random, "
+    "obtained | predicted / obtained, all elements |"
+)
+
+
+def changed(candidate: Candidate, setup: PhasorSetup) -> PhasorSetup:
+    """Return the set-up of a candidate."""
+
+    def of(channel: Channel, suffix: str = "") -> Channel:
+        entry, group = channel.entry, channel.entry.common or channel.entry.name
+        if candidate.exchanged == f"{group}: ":
+            entry = entry.model_copy(update={"name": f"{entry.name} B", "common": f"{group} B"})
+        if suffix:
+            entry = entry.model_copy(update={"name": f"{entry.name}{suffix}", "common": entry.common or entry.name})
+        return replace(channel, entry=entry, noise=channel.noise / np.sqrt(candidate.longer))
+
+    again = tuple(of(channel, f" {number}") for number in range(1, candidate.points) for channel in setup.channels)
+    parts = tuple(
+        replace(part, name=f"{part.name} B") if candidate.exchanged.startswith(f"{part.name} ") else part
+        for part in setup.parts
+    )
+    outputs = tuple(replace(of(one), entry=one.entry) for one in setup.outputs)
+    return replace(setup, channels=(*map(of, setup.channels), *again), outputs=outputs, parts=parts)
+
+
+def evaluated(entries: Sequence[RecordingResults]) -> tuple[MatrixFit, bool]:
+    """Return the matrix of a campaign, and whether its recordings agree on shared unknowns."""
+    carried, unknowns, _ = apply_joint_estimate("c", entries, lambda drive: drive)
+    return fit_matrix([drive for entry in carried for drive in entry.excited_lines], LOAD_COMPONENTS), bool(unknowns)
+
+
+def u_of(fit: MatrixFit, elements: Sequence[Element]) -> FloatArray:
+    """Return standard uncertainties (E,) of magnitudes."""
+    index = [fit.channels.index(channel) * 6 + load for channel, load in elements]
+    value = fit.value.ravel()[index]
+    covariance = fit.uncertainty.at(index).relative_to(value[None]).covariance[0]
+    return np.asarray(np.abs(value) * np.sqrt(np.diagonal(covariance)[: len(index)]))
+
+
+def obtained(base: Sequence[RecordingResults], further: Sequence[Candidate], seed: int) -> MatrixFit | None:
+    """Return the matrix with simulated further recordings; None if the recordings contradict each other."""
+    entries = list(base)
+    for number, one in enumerate(further, 1):
+        draws = Named(seed, True, mounting=f"next {number}", recording=f"next {number}")
+        entries.append(recorded(int(one.folder), None, draws, partial(changed, one))[0])
+    fit, agree = evaluated(entries)
+    return fit if agree and not fit.discrepancy else None
+
+
+def random_choice(candidates: Sequence[Candidate], minutes: float, rng: np.random.Generator) -> list[int]:
+    """Return random candidates until none fits into the time."""
+    chosen, left = list[int](), minutes
+    while fitting := [q for q, one in enumerate(candidates) if one.minutes <= left]:
+        chosen.append(int(rng.choice(fitting)))
+        left -= candidates[chosen[-1]].minutes
+    return chosen
+
+
+def case_row(name: str, elements: Sequence[Element], hours: float, seeds: range, alternatives: int) -> str:
+    """Return the row of one case."""
+    rows, ratios = list[tuple[float, ...]](), list[FloatArray]()
+    for seed in seeds:
+        parts = [
+            recorded(place, None, Named(seed, True, mounting=str(place), recording=str(place)))[0]
+            for place in range(len(RUNS))
+        ]
+        base = with_unique_names(parts)
+        fit, joint = evaluated(base)
+        if fit.discrepancy or not joint:
+            continue
+        lengths = {entry.folder: LENGTH_S for entry in base}
+        candidates = list_candidates(base, lengths, ["laser"], Minutes())
+        information = joint_information(base, [fit], elements, candidates, joint=joint)
+        proposal = propose(elements, candidates, information, 60.0 * hours)
+        rng = np.random.default_rng([seed, 7])
+        choices = [[*proposal.chosen], *(random_choice(candidates, 60.0 * hours, rng) for _ in range(alternatives))]
+        found = list[tuple[float, float]]()
+        for chosen in choices:
+            now = replace(proposal, chosen=tuple(chosen)).ratios(len(chosen))[0]
+            after = obtained(base, [candidates[q] for q in chosen], seed)
+            if after is not None:
+                then = u_of(after, elements) / u_of(fit, elements)
+                ratios.append(now / then)
+                found.append((float(np.sqrt(np.mean(now**2))), float(np.sqrt(np.mean(then**2)))))
+        (proposed, *others) = found
+        rows.append((*proposed, *np.median(others, axis=0), min(one[1] for one in others)))
+    means = [f"{value:.3f}" for value in np.mean(rows, axis=0)]
+    low, high = np.percentile(np.concatenate(ratios), [2.5, 97.5])
+    return markdown_row(name, f"{hours:g}", *means, f"{low:.2f} to {high:.2f}")
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--campaigns", type=int, default=4)
+    parser.add_argument("--alternatives", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args(arguments)
+    rows = []
+    for case in CASES:
+        seeds = range(options.seed, options.seed + options.campaigns)
+        rows.append(case_row(*case, seeds, options.alternatives))
+        print(rows[-1], flush=True)
+    text = markdown_table(HEAD, rows)
+    text += f"\n\n{options.campaigns} campaigns with {options.alternatives} random choices each."
+    if options.write:
+        write_marked(PAGE, {"proposals": text})
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])

@@ -1,0 +1,408 @@
+"""The recordings that lower U of stated matrix elements most per hour."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
+from fusion.campaign.line_stack import Stack, stack_drives
+from fusion.campaign.matrix import MatrixFit
+from fusion.campaign.matrix_solve import reading_model
+from fusion.campaign.recording_results import RecordingResults
+from fusion.campaign.unknowns import as_stated
+from fusion.estimation.coverage import Polar
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
+
+LONGER, POINTS = 4, 2
+"""Length of a longer recording over the present one, and number of points over the present one (chosen)."""
+WORTH = 0.05
+"""Share of a variance from which on an exchange of the mass or instrument is a candidate (chosen)."""
+LEAST_GAIN = 1e-3
+"""Smallest decrease of the criterion for which a recording is proposed (chosen)."""
+EXCHANGES = 20
+"""Largest number of exchanges; a few are usual."""
+ENDLESS = 1e5
+"""Number of repeats that stands for infinitely many."""
+ROUNDING = 1e-9
+"""Relative tolerance of the available time."""
+OTHER = " (another)"
+"""Suffix of the names of unknowns of an exchanged mass or instrument."""
+HEAD = "head "
+"""Beginning of the names of unknowns of a head, which all its points share."""
+Element = tuple[str, int]
+"""Output channel, and index of the load component."""
+
+
+@dataclass(frozen=True)
+class Minutes:
+    """Duration of a new `mounting`, of aligning as many `points` again, of an `exchange` of a mass or instrument."""
+
+    mounting: float = 20.0
+    points: float = 15.0
+    exchange: float = 30.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A possible further recording: that of `folder`, mounted anew, with one change.
+
+    `change`: what differs, in words; empty for the same again. `longer`, `points`: factors of its length and of the
+    number of its measuring points. `exchanged`: beginning of the names of unknowns that another mass or instrument has
+    of its own.
+    """
+
+    folder: str
+    minutes: float
+    change: str = ""
+    longer: int = 1
+    points: int = 1
+    exchanged: str = ""
+
+
+def list_candidates(
+    recorded: Sequence[RecordingResults],
+    length_s: Mapping[str, float],
+    groups: Sequence[str],
+    minutes: Minutes,
+) -> tuple[Candidate, ...]:
+    """Return the candidates: every direction and load again, longer, with more points, with exchanges.
+
+    `length_s`: length of each recording by its folder; `groups`: masses and instruments to exchange.
+    """
+    once = dict[object, RecordingResults]()
+    for entry in recorded:
+        for drive in entry.excited_lines[:1]:
+            parts = frozenset(one.name for one in drive.load_uncertainty.influences if "centre of mass" in one.label)
+            once[drive.direction, parts] = entry
+    found = []
+    for entry in once.values():
+        recording = length_s.get(entry.folder, 0.0) / 60.0
+        usual = minutes.mounting + recording
+        found.append(Candidate(entry.folder, usual))
+        found.append(
+            Candidate(entry.folder, usual + (LONGER - 1) * recording, f"{LONGER} times as long", longer=LONGER)
+        )
+        if entry.knowledge is not None:
+            more = f"{POINTS} times as many points"
+            found.append(Candidate(entry.folder, usual + minutes.points, more, points=POINTS))
+        for group in groups:
+            found.append(Candidate(entry.folder, usual + minutes.exchange, f"another {group}", exchanged=f"{group}: "))
+    return tuple(found)
+
+
+class _Known(NamedTuple):
+    """Information (W, W) of one recording about unknowns by their names in the campaign."""
+
+    names: tuple[str, ...]
+    information: FloatArray
+
+
+class _Readings(NamedTuple):
+    """Readings of one line, `white` (2C, 12C + A): derivatives by the matrix and by unknowns, over their noise."""
+
+    names: tuple[str, ...]
+    white: FloatArray
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """Information about E stated elements and shared unknowns at one frequency.
+
+    `base` (P, P): of the recordings and of the stated uncertainties; `added` (Q, P, P): of each candidate. The first
+    12C of P unknowns are [Re, Im] of the matrix, then those of `unknowns` (group, label). `rows` (E, P): magnitudes of
+    the elements. `present` (E): their values with present U.
+    """
+
+    frequency_hz: float
+    base: FloatArray
+    added: FloatArray
+    unknowns: tuple[tuple[str, str], ...]
+    rows: FloatArray
+    present: tuple[Polar, ...]
+
+    def covariance(self, counts: FloatArray | IntArray, further: FloatArray | float = 0.0) -> FloatArray:
+        """Return the covariance (E, P) of elements and unknowns with `counts` (Q,) of the candidates.
+
+        `further` (P, P) or 0: information of another source.
+        """
+        chosen = np.flatnonzero(counts)
+        total = self.base + np.tensordot(np.asarray(counts, np.float64)[chosen], self.added[chosen], 1) + further
+        size = 1.0 / np.sqrt(np.diagonal(total))
+        factor = cho_factor(total * np.outer(size, size))
+        return np.asarray(cho_solve(factor, (self.rows * size).T).T * size)
+
+    def variance(self, counts: FloatArray | IntArray, further: FloatArray | float = 0.0) -> FloatArray:
+        """Return the variances (E,) with `counts` (Q,) of the candidates."""
+        return np.asarray(np.sum(self.covariance(counts, further) * self.rows, axis=1))
+
+    def shares(self, counts: FloatArray | IntArray, part: int) -> dict[str, FloatArray]:
+        """Return shares (E,) of the variances by label (`part` 1) or by group (0) of shared unknowns.
+
+        The estimate contains c·ε of an unknown with unit prior if c is its covariance with the element.
+        """
+        covariance = self.covariance(counts)
+        variance = np.sum(covariance * self.rows, axis=1)
+        found: dict[str, FloatArray] = {}
+        for about, effect in zip(self.unknowns, covariance[:, -len(self.unknowns) :].T, strict=True):
+            found[about[part]] = found.get(about[part], np.zeros(len(variance))) + effect**2 / variance
+        return found
+
+    def halved(self, counts: FloatArray | IntArray, label: str) -> FloatArray:
+        """Return the variances (E,) if u of the unknowns of one label were half as large."""
+        further = np.zeros(len(self.base))
+        further[-len(self.unknowns) :] = [3.0 * (about[1] == label) for about in self.unknowns]
+        return self.variance(counts, np.diag(further))
+
+
+def joint_information(
+    recorded: Sequence[RecordingResults],
+    fits: Sequence[MatrixFit],
+    elements: Sequence[Element],
+    candidates: Sequence[Candidate],
+    *,
+    joint: bool,
+) -> tuple[JointInformation, ...]:
+    """Return the information about elements at every frequency of a matrix.
+
+    A reading y = (1 + ρ·ε)∘(S·L) of a load l = L + E·ε + noise is linear in S and in the shared unknowns ε with unit
+    prior. Recordings are independent for given ε, so their information adds up (Plackett 1950, Biometrika 37, 149).
+    Unknowns of one recording or mounting are eliminated. `recorded`: with unique names. `joint`: whether the campaign
+    uses what recordings say of shared unknowns.
+    """
+    base = [as_stated(entry) if joint else entry for entry in recorded]
+    source = {entry.folder: entry for entry in base}
+    virtual = [_virtual(source[one.folder], one, f"next {number}") for number, one in enumerate(candidates, 1)]
+    known: list[list[_Known]] = [[] for _ in range(1 + len(candidates))]
+    if joint:
+        known = [[_known(entry) for entry in base if entry.knowledge is not None]]
+        known += [
+            [_known(entry, one)] if entry.knowledge is not None else []
+            for entry, one in zip(virtual, candidates, strict=True)
+        ]
+    found = []
+    for fit in fits:
+        width_hz = FREQUENCY_TOLERANCE * fit.frequency_hz
+        groups = [
+            [one for entry in of for one in entry.excited_lines if abs(one.frequency_hz - fit.frequency_hz) < width_hz]
+            for of in (base, *([entry] for entry in virtual))
+        ]
+        found.append(_information(fit, elements, groups, known))
+    return tuple(found)
+
+
+def _virtual(entry: RecordingResults, candidate: Candidate, name: str) -> RecordingResults:
+    """Return a candidate as a recording with the readings of its source."""
+    descriptions = () if entry.knowledge is None else entry.knowledge().descriptions
+    of_points = {name for name, *_, scope, _, _, _ in descriptions if _of_points(name, scope)}
+
+    def changed(uncertainty: Uncertainty, noise: float) -> Uncertainty:
+        random = tuple(
+            replace(part, covariance=part.covariance * noise) if part.type == "A" else part
+            for part in uncertainty.random
+        )
+        influences = []
+        for one in uncertainty.influences:
+            name = _exchanged(one.name, candidate) if one.scope == "rig" else one.name
+            size = np.sqrt(candidate.points) if name in of_points else 1.0
+            influences.append(replace(one, name=name, effect=one.effect / size))
+        return Uncertainty(random, tuple(influences))
+
+    lines = tuple(
+        replace(
+            drive, recording=name, mounting=name, start="",
+            load_uncertainty=changed(drive.load_uncertainty, 1.0 / (candidate.longer * candidate.points)),
+            outputs_uncertainty=changed(drive.outputs_uncertainty, 1.0 / candidate.longer),
+        )
+        for drive in entry.excited_lines
+    )  # fmt: skip
+    return replace(entry, name=name, mounting=name, excited_lines=lines)
+
+
+def _known(entry: RecordingResults, candidate: Candidate | None = None) -> _Known:
+    """Return the information of a recording, or of a candidate with its name, about shared unknowns.
+
+    M = EᵀPE grows with the inverse of the noise. Twice the points have the mean of two independent unknowns of the
+    mounting, of half the variance, at twice the information: in its u, that is unchanged.
+    """
+    assert entry.knowledge is not None
+    knowledge, one_of = entry.knowledge(), candidate or Candidate(entry.folder, 0.0)
+    about = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
+    scale = np.sqrt([one_of.longer * (1 if _of_points(name, scope) else one_of.points) for name, *_, scope, _, _, _ in about])
+    alone = np.eye(len(about))
+    raw = scale[:, None] * (knowledge.inverse - alone) * scale
+    information = np.linalg.solve(alone + raw @ knowledge.second_order, raw)
+    names = [
+        _exchanged(name, one_of) if scope == "rig" else f"{name} [{entry.mounting}]"
+        for name, *_, scope, _, _, _ in about
+    ]
+    return _Known(tuple(names), (information + information.T) / 2.0)
+
+
+def _of_points(name: str, scope: str) -> bool:
+    """Return whether an unknown of the motion belongs to one measuring point, so that more points average it."""
+    return scope == "mounting" and not name.startswith(HEAD)
+
+
+def _exchanged(name: str, candidate: Candidate) -> str:
+    """Return the name of an unknown of the rig in a candidate."""
+    return name + OTHER if candidate.exchanged and name.startswith(candidate.exchanged) else name
+
+
+def _information(
+    fit: MatrixFit,
+    elements: Sequence[Element],
+    groups: Sequence[Sequence[ExcitedLine]],
+    known: Sequence[Sequence[_Known]],
+) -> JointInformation:
+    """Return the information at one frequency: the recordings first, then each candidate."""
+    stack = stack_drives([drive for group in groups for drive in group], fit.channels)
+    readings = iter(_readings(stack, fit.value * stack.load_size / stack.output_size[:, None], fit.discrepancy))
+    of_group = [list(islice(readings, len(group))) for group in groups]
+    named = [[one.names for one in mine] + [one.names for one in of] for mine, of in zip(of_group, known, strict=True)]
+    count = Counter(name for names in named for name in set().union(*names))
+    kept = {name: place for place, name in enumerate(name for name in count if count[name] > 1)}
+    wide = 2 * fit.value.size
+    first, *others = (_gathered(mine, of, kept, wide) for mine, of in zip(of_group, known, strict=True))
+    index = [fit.channels.index(channel) * LOADS + j for channel, j in elements]
+    value, rows = fit.value.ravel()[index], np.zeros((len(index), wide + len(kept)))
+    unit, label = value / np.abs(value), {influence.name: influence.label for influence in stack.unknowns}
+    rows[range(len(index)), index], rows[range(len(index)), [wide // 2 + place for place in index]] = (
+        unit.real,
+        unit.imag,
+    )
+    (polar,) = polar_elements(value[None], fit.uncertainty.at(index))
+    return JointInformation(
+        frequency_hz=fit.frequency_hz,
+        base=first + np.diag(np.repeat([0.0, 1.0], [wide, len(kept)])),
+        added=np.stack(others),
+        unknowns=tuple((name.rpartition(": ")[0].partition(": ")[0], label.get(name, name)) for name in kept),
+        rows=rows,
+        present=tuple(one for one in polar if one is not None),
+    )
+
+
+def _readings(stack: Stack, matrix: ComplexArray, discrepancy: float) -> Iterator[_Readings]:
+    """Yield the whitened readings of every line; a disagreement of recordings is an unknown of its mounting."""
+    effects, design, noise = reading_model(stack, matrix)
+    sizes = discrepancy * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1)
+    for r, drive in enumerate(stack.drives):
+        names = [stack.unknowns[place].name for place in stack.acting[r] if place >= 0]
+        columns = [design[r], effects[r][:, : len(names)]]
+        if discrepancy:
+            names += [f"disagreement {place} [{drive.mounting}] {drive.direction}" for place in range(len(noise[r]))]
+            columns.append(np.diag(np.tile(sizes[r], 2)) * np.tile(stack.usable[r], 2))
+        white = solve_triangular(np.linalg.cholesky(noise[r]), np.concatenate(columns, axis=1), lower=True)
+        yield _Readings(tuple(names), white)
+
+
+def _gathered(readings: Sequence[_Readings], known: Sequence[_Known], kept: Mapping[str, int], wide: int) -> FloatArray:
+    """Return the information (P, P) of some recordings about matrix and kept unknowns, others eliminated."""
+    place = {name: wide + index for name, index in kept.items()}
+    for name in chain.from_iterable([*(one.names for one in readings), *(one.names for one in known)]):
+        place.setdefault(name, wide + len(place))
+    total = np.zeros((wide + len(place), wide + len(place)))
+    for reading in readings:
+        index = np.array([*range(wide), *(place[name] for name in reading.names)])
+        total[np.ix_(index, index)] += reading.white.T @ reading.white
+    for one in known:
+        index = np.array([place[name] for name in one.names])
+        total[np.ix_(index, index)] += one.information
+    size = wide + len(kept)
+    alone = total[size:, size:] + np.eye(len(total) - size)
+    return np.asarray(total[:size, :size] - total[:size, size:] @ np.linalg.solve(alone, total[size:, :size]))
+
+
+# The choice among candidates.
+
+
+def choose(criterion: Callable[[IntArray], float], minutes: Sequence[float], available: float) -> list[int]:
+    """Return candidates, repeated as often as chosen, that lower a criterion most within the available minutes.
+
+    Each step adds the candidate of the largest decrease per minute. Then single candidates are exchanged while this
+    lowers the criterion (Fedorov 1972, Theory of Optimal Experiments). `criterion`: of the counts (Q,).
+    """
+    counts, cost = np.zeros(len(minutes), np.int64), np.asarray(minutes, np.float64)
+    one_of = np.eye(len(minutes), dtype=np.int64)
+
+    def extend(counts: IntArray) -> IntArray:
+        while True:
+            now = criterion(counts)
+            fitting = np.flatnonzero(counts @ cost + cost <= available * (1.0 + ROUNDING))
+            gains = [(now - criterion(counts + one_of[q])) for q in fitting]
+            useful = [(gain / cost[q], q) for gain, q in zip(gains, fitting, strict=True) if gain > LEAST_GAIN * now]
+            if not useful:
+                return counts
+            counts = counts + one_of[max(useful)[1]]
+
+    counts = extend(counts)
+    for _ in range(EXCHANGES):
+        swaps = [
+            counts - one_of[out] + one_of[into]
+            for out in np.flatnonzero(counts)
+            for into in range(len(cost))
+            if into != out and (counts - one_of[out] + one_of[into]) @ cost <= available * (1.0 + ROUNDING)
+        ]
+        best = min(swaps, key=criterion, default=counts)
+        if not criterion(best) < (1.0 - LEAST_GAIN) * criterion(counts):
+            break
+        counts = extend(best)
+    ordered, taken = list[int](), np.zeros_like(counts)
+    while np.any(taken < counts):
+        left = np.flatnonzero(taken < counts).tolist()
+        ordered.append(min(left, key=lambda q: (criterion(taken + one_of[q]) - criterion(taken)) / cost[q]))
+        taken = taken + one_of[ordered[-1]]
+    return ordered
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The proposed recordings in order, of `candidates` (Q), with the joint information at every frequency."""
+
+    elements: tuple[Element, ...]
+    candidates: tuple[Candidate, ...]
+    information: tuple[JointInformation, ...]
+    chosen: tuple[int, ...]
+
+    def counts(self, steps: int) -> IntArray:
+        """Return the counts (Q,) after some recordings."""
+        return np.bincount(np.array(self.chosen[:steps], np.int64), minlength=len(self.candidates))
+
+    def ratios(self, steps: int) -> FloatArray:
+        """Return predicted over present u (F, E) after some recordings."""
+        counts = self.counts(steps)
+        return np.sqrt([one.variance(counts) / one.variance(0 * counts) for one in self.information])
+
+    @property
+    def repeated(self) -> FloatArray:
+        """Ratios (F, E) to which u falls if all set-ups are mounted anew for ever."""
+        endless = np.array([ENDLESS * (not one.change) for one in self.candidates])
+        return np.sqrt([one.variance(endless) / one.variance(0 * endless) for one in self.information])
+
+
+def propose(
+    elements: Sequence[Element],
+    candidates: Sequence[Candidate],
+    information: Sequence[JointInformation],
+    available: float,
+) -> Proposal:
+    """Return the recordings that lower the mean relative variance of the elements most within `available` minutes.
+
+    The criterion is the mean over elements and frequencies of predicted over present variance: C-optimality for one
+    element, else A-optimality with the present variances as weights (Pukelsheim 1993, Optimal Design of Experiments).
+    """
+    present = [one.variance(np.zeros(len(candidates))) for one in information]
+
+    def criterion(counts: IntArray) -> float:
+        pairs = zip(information, present, strict=True)
+        return float(np.mean([one.variance(counts) / variance for one, variance in pairs]))
+
+    chosen = choose(criterion, [one.minutes for one in candidates], available)
+    return Proposal(tuple(elements), tuple(candidates), tuple(information), tuple(chosen))
