@@ -26,27 +26,38 @@ from fusion.campaign.joint_evaluation import with_unique_names
 from fusion.campaign.matrix import MatrixFit, fit_matrix
 from fusion.campaign.recording_results import RecordingResults
 from fusion.campaign.unknowns import apply_joint_estimate
-from fusion.planning.next_recordings import Candidate, Element, Minutes, joint_information, list_candidates, propose
+from fusion.planning.next_recordings import (
+    INTERNAL,
+    Candidate,
+    Element,
+    Minutes,
+    joint_information,
+    list_candidates,
+    propose,
+)
+from fusion.sensitivity.moving_body import MovingPart
 from shaker.labels import LOAD_COMPONENTS
 
 FloatArray = NDArray[np.float64]
 PAGE = Path(__file__).parent.parent / "docs" / "next-recordings.md"
 MAIN: tuple[Element, ...] = tuple((name, place) for place, name in enumerate(LOAD_COMPONENTS))
-CASES: tuple[tuple[str, tuple[Element, ...], float], ...] = (
-    ("all six main", MAIN, 4.0),
-    ("Fz/Fz", (("Fz", 2),), 2.0),
-    ("My/Fx", (("My", 0),), 1.0),
-    ("Mx/Mx, My/My, Mz/Mz", MAIN[3:], 2.0),
+CASES: tuple[tuple[str, tuple[Element, ...], float, float], ...] = (
+    ("all six main", MAIN, 4.0, 1.0),
+    ("all six main", MAIN, 4.0, 30.0),
+    ("Fz/Fz", (("Fz", 2),), 2.0, 1.0),
+    ("My/Fx", (("My", 0),), 1.0, 1.0),
+    ("Mx/Mx, My/My, Mz/Mz", MAIN[3:], 2.0, 10.0),
 )
+"""Elements, hours, and the noise over that of `coverage_matrix`."""
 LENGTH_S = 120.0
 HEAD = (
-    "| elements | hours | proposed: U / now, predicted | obtained | random: U / now, predicted | obtained | best random, "
-    "obtained | predicted / obtained, all elements |"
+    "| elements | hours | noise | proposed: U / now, predicted | obtained | random: U / now, predicted | obtained "
+    "| best random, obtained | predicted / obtained, all elements |"
 )
 
 
-def changed(candidate: Candidate, setup: PhasorSetup) -> PhasorSetup:
-    """Return the set-up of a candidate."""
+def changed(candidate: Candidate, noise: float, setup: PhasorSetup) -> PhasorSetup:
+    """Return the set-up of a candidate, with `noise` times the usual noise."""
 
     def of(channel: Channel, suffix: str = "") -> Channel:
         entry, group = channel.entry, channel.entry.common or channel.entry.name
@@ -54,13 +65,24 @@ def changed(candidate: Candidate, setup: PhasorSetup) -> PhasorSetup:
             entry = entry.model_copy(update={"name": f"{entry.name} B", "common": f"{group} B"})
         if suffix:
             entry = entry.model_copy(update={"name": f"{entry.name}{suffix}", "common": entry.common or entry.name})
-        return replace(channel, entry=entry, noise=channel.noise / np.sqrt(candidate.longer))
+        return replace(channel, entry=entry, noise=noise * channel.noise / np.sqrt(candidate.longer))
 
     again = tuple(of(channel, f" {number}") for number in range(1, candidate.points) for channel in setup.channels)
-    parts = tuple(
-        replace(part, name=f"{part.name} B") if candidate.exchanged.startswith(f"{part.name} ") else part
-        for part in setup.parts
-    )
+    internal = setup.parts[1]
+    whole_kg = sum(part.mass_kg for part in setup.parts)
+    factor = (candidate.heavier * whole_kg - internal.mass_kg) / (whole_kg - internal.mass_kg)
+
+    def moved(part: MovingPart) -> MovingPart:
+        if part is internal:
+            return replace(part, name=INTERNAL)
+        if candidate.heavier == 1:
+            return part
+        sizes = {
+            name: factor * getattr(part, name) for name in ("mass_kg", "inertia_kgm2", "u_mass_kg", "u_inertia_kgm2")
+        }
+        return replace(part, name=f"{part.name} B", **sizes)
+
+    parts = tuple(map(moved, setup.parts))
     outputs = tuple(replace(of(one), entry=one.entry) for one in setup.outputs)
     return replace(setup, channels=(*map(of, setup.channels), *again), outputs=outputs, parts=parts)
 
@@ -79,12 +101,14 @@ def u_of(fit: MatrixFit, elements: Sequence[Element]) -> FloatArray:
     return np.asarray(np.abs(value) * np.sqrt(np.diagonal(covariance)[: len(index)]))
 
 
-def obtained(base: Sequence[RecordingResults], further: Sequence[Candidate], seed: int) -> MatrixFit | None:
+def obtained(
+    base: Sequence[RecordingResults], further: Sequence[Candidate], seed: int, noise: float
+) -> MatrixFit | None:
     """Return the matrix with simulated further recordings; None if the recordings contradict each other."""
     entries = list(base)
     for number, one in enumerate(further, 1):
         draws = Named(seed, True, mounting=f"next {number}", recording=f"next {number}")
-        entries.append(recorded(int(one.folder), None, draws, partial(changed, one))[0])
+        entries.append(recorded(int(one.folder), None, draws, partial(changed, one, noise))[0])
     fit, agree = evaluated(entries)
     return fit if agree and not fit.discrepancy else None
 
@@ -98,14 +122,16 @@ def random_choice(candidates: Sequence[Candidate], minutes: float, rng: np.rando
     return chosen
 
 
-def case_row(name: str, elements: Sequence[Element], hours: float, seeds: range, alternatives: int) -> str:
+def case_row(
+    name: str, elements: Sequence[Element], hours: float, noise: float, seeds: range, alternatives: int
+) -> str:
     """Return the row of one case."""
     rows, ratios = list[tuple[float, ...]](), list[FloatArray]()
     for seed in seeds:
-        parts = [
-            recorded(place, None, Named(seed, True, mounting=str(place), recording=str(place)))[0]
-            for place in range(len(RUNS))
-        ]
+        parts = []
+        for place in range(len(RUNS)):
+            draws, usual = Named(seed, True, mounting=str(place), recording=str(place)), Candidate(str(place), 0.0)
+            parts.append(recorded(place, None, draws, partial(changed, usual, noise))[0])
         base = with_unique_names(parts)
         fit, joint = evaluated(base)
         if fit.discrepancy or not joint:
@@ -119,7 +145,7 @@ def case_row(name: str, elements: Sequence[Element], hours: float, seeds: range,
         found = list[tuple[float, float]]()
         for chosen in choices:
             now = replace(proposal, chosen=tuple(chosen)).ratios(len(chosen))[0]
-            after = obtained(base, [candidates[q] for q in chosen], seed)
+            after = obtained(base, [candidates[q] for q in chosen], seed, noise)
             if after is not None:
                 then = u_of(after, elements) / u_of(fit, elements)
                 ratios.append(now / then)
@@ -128,7 +154,7 @@ def case_row(name: str, elements: Sequence[Element], hours: float, seeds: range,
         rows.append((*proposed, *np.median(others, axis=0), min(one[1] for one in others)))
     means = [f"{value:.3f}" for value in np.mean(rows, axis=0)]
     low, high = np.percentile(np.concatenate(ratios), [2.5, 97.5])
-    return markdown_row(name, f"{hours:g}", *means, f"{low:.2f} to {high:.2f}")
+    return markdown_row(name, f"{hours:g}", f"{noise:g}", *means, f"{low:.2f} to {high:.2f}")
 
 
 def main(arguments: Sequence[str] = ()) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain, islice, product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +18,11 @@ from fusion.campaign.matrix_solve import reading_model
 from fusion.campaign.recording_results import RecordingResults
 from fusion.campaign.unknowns import as_stated
 from fusion.estimation.coverage import Polar
-from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
-LONGER, POINTS = 4, 2
-"""Length of a longer recording over the present one, and number of points over the present one (chosen)."""
+LONGER, POINTS, HEAVIER = 4, 2, 2
+"""Length, number of measuring points and moved mass of a candidate over those of the present recording (chosen)."""
 WORTH = 0.05
 """Share of a variance from which on an exchange of the mass or instrument is a candidate (chosen)."""
 LEAST_GAIN = 1e-3
@@ -35,6 +35,10 @@ ROUNDING = 1e-9
 """Relative tolerance of the available time."""
 OTHER = " (another)"
 """Suffix of the names of unknowns of an exchanged mass or instrument."""
+OF_PARTS = (": mass", ": inertia")
+"""Ends of the labels of unknowns of the rig that belong to a part of the load."""
+INTERNAL = "internal mass"
+"""Beginning of the names of unknowns of the sensor's own mass, which no exchange changes."""
 HEAD = "head "
 """Beginning of the names of unknowns of a head, which all its points share."""
 Element = tuple[str, int]
@@ -54,9 +58,10 @@ class Minutes:
 class Candidate:
     """A possible further recording: that of `folder`, mounted anew, with one change.
 
-    `change`: what differs, in words; empty for the same again. `longer`, `points`: factors of its length and of the
-    number of its measuring points. `exchanged`: beginning of the names of unknowns that another mass or instrument has
-    of its own.
+    `change`: what differs, in words; empty for the same again. `longer`, `points`, `heavier`: factors of its length, of
+    the number of its measuring points, and of the whole moved mass by parts of their own, with equal acceleration and
+    relative uncertainties. `exchanged`: beginning of the names of unknowns that another mass or instrument has of its
+    own.
     """
 
     folder: str
@@ -64,6 +69,7 @@ class Candidate:
     change: str = ""
     longer: int = 1
     points: int = 1
+    heavier: int = 1
     exchanged: str = ""
 
 
@@ -93,6 +99,7 @@ def list_candidates(
         if entry.knowledge is not None:
             more = f"{POINTS} times as many points"
             found.append(Candidate(entry.folder, usual + minutes.points, more, points=POINTS))
+        found.append(Candidate(entry.folder, usual + minutes.exchange, f"{HEAVIER} times the mass", heavier=HEAVIER))
         for group in groups:
             found.append(Candidate(entry.folder, usual + minutes.exchange, f"another {group}", exchanged=f"{group}: "))
     return tuple(found)
@@ -203,27 +210,34 @@ def _virtual(entry: RecordingResults, candidate: Candidate, name: str) -> Record
     descriptions = () if entry.knowledge is None else entry.knowledge().descriptions
     of_points = {name for name, *_, scope, _, _, _ in descriptions if _of_points(name, scope)}
 
-    def changed(uncertainty: Uncertainty, noise: float) -> Uncertainty:
-        random = tuple(
-            replace(part, covariance=part.covariance * noise) if part.type == "A" else part
-            for part in uncertainty.random
-        )
-        influences = []
-        for one in uncertainty.influences:
-            name = _exchanged(one.name, candidate) if one.scope == "rig" else one.name
-            size = np.sqrt(candidate.points) if name in of_points else 1.0
-            influences.append(replace(one, name=name, effect=one.effect / size))
-        return Uncertainty(random, tuple(influences))
+    def of_load(one: Influence) -> Influence:
+        internal = one.name.startswith(INTERNAL)
+        size = (1.0 if internal else candidate.heavier) / np.sqrt(candidate.points if one.name in of_points else 1.0)
+        other_parts = candidate.heavier > 1 and not internal and one.scope == "rig" and one.label.endswith(OF_PARTS)
+        name = one.name + OTHER if other_parts else _exchanged(one.name, candidate, one.scope)
+        return replace(one, name=name, effect=one.effect * size)
 
+    def of_output(one: Influence) -> Influence:
+        return replace(one, name=_exchanged(one.name, candidate, one.scope), effect=one.effect * candidate.heavier)
+
+    longer, heavier = candidate.longer, candidate.heavier
     lines = tuple(
         replace(
-            drive, recording=name, mounting=name, start="",
-            load_uncertainty=changed(drive.load_uncertainty, 1.0 / (candidate.longer * candidate.points)),
-            outputs_uncertainty=changed(drive.outputs_uncertainty, 1.0 / candidate.longer),
+            drive, recording=name, mounting=name, start="", load=drive.load * heavier, outputs=drive.outputs * heavier,
+            load_uncertainty=_changed(drive.load_uncertainty, heavier**2 / (longer * candidate.points), of_load),
+            outputs_uncertainty=_changed(drive.outputs_uncertainty, 1.0 / longer, of_output),
         )
         for drive in entry.excited_lines
     )  # fmt: skip
     return replace(entry, name=name, mounting=name, excited_lines=lines)
+
+
+def _changed(uncertainty: Uncertainty, noise: float, of: Callable[[Influence], Influence]) -> Uncertainty:
+    """Return an uncertainty with `noise` times the variance of its noise, and changed influences."""
+    random = (
+        replace(one, covariance=one.covariance * (noise if one.type == "A" else 1.0)) for one in uncertainty.random
+    )
+    return Uncertainty(tuple(random), tuple(map(of, uncertainty.influences)))
 
 
 def _known(entry: RecordingResults, candidate: Candidate | None = None) -> _Known:
@@ -235,12 +249,13 @@ def _known(entry: RecordingResults, candidate: Candidate | None = None) -> _Know
     assert entry.knowledge is not None
     knowledge, one_of = entry.knowledge(), candidate or Candidate(entry.folder, 0.0)
     about = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
-    scale = np.sqrt([one_of.longer * (1 if _of_points(name, scope) else one_of.points) for name, *_, scope, _, _, _ in about])
+    more = [1 if _of_points(name, scope) else one_of.points for name, *_, scope, _, _, _ in about]
+    scale = np.sqrt(one_of.longer * np.array(more))
     alone = np.eye(len(about))
     raw = scale[:, None] * (knowledge.inverse - alone) * scale
     information = np.linalg.solve(alone + raw @ knowledge.second_order, raw)
     names = [
-        _exchanged(name, one_of) if scope == "rig" else f"{name} [{entry.mounting}]"
+        _exchanged(name, one_of, scope) if scope == "rig" else f"{name} [{entry.mounting}]"
         for name, *_, scope, _, _, _ in about
     ]
     return _Known(tuple(names), (information + information.T) / 2.0)
@@ -251,9 +266,10 @@ def _of_points(name: str, scope: str) -> bool:
     return scope == "mounting" and not name.startswith(HEAD)
 
 
-def _exchanged(name: str, candidate: Candidate) -> str:
-    """Return the name of an unknown of the rig in a candidate."""
-    return name + OTHER if candidate.exchanged and name.startswith(candidate.exchanged) else name
+def _exchanged(name: str, candidate: Candidate, scope: str) -> str:
+    """Return the name of an unknown in a candidate."""
+    own = scope == "rig" and candidate.exchanged and name.startswith(candidate.exchanged)
+    return name + OTHER if own else name
 
 
 def _information(
@@ -327,33 +343,35 @@ def choose(criterion: Callable[[IntArray], float], minutes: Sequence[float], ava
     """Return candidates, repeated as often as chosen, that lower a criterion most within the available minutes.
 
     Each step adds the candidate of the largest decrease per minute. Then single candidates are exchanged while this
-    lowers the criterion (Fedorov 1972, Theory of Optimal Experiments). `criterion`: of the counts (Q,).
+    lowers the criterion (Fedorov 1972, Theory of Optimal Experiments). A second start adds those of the largest
+    decrease, and the better result counts. `criterion`: of the counts (Q,).
     """
-    counts, cost = np.zeros(len(minutes), np.int64), np.asarray(minutes, np.float64)
-    one_of = np.eye(len(minutes), dtype=np.int64)
+    cost, one_of = np.asarray(minutes, np.float64), np.eye(len(minutes), dtype=np.int64)
+    limit = available * (1.0 + ROUNDING)
 
-    def extend(counts: IntArray) -> IntArray:
+    def extended(counts: IntArray, per: FloatArray) -> IntArray:
+        """Return counts with the candidates of the largest decrease over `per` (Q,) added while they fit."""
         while True:
             now = criterion(counts)
-            fitting = np.flatnonzero(counts @ cost + cost <= available * (1.0 + ROUNDING))
-            gains = [(now - criterion(counts + one_of[q])) for q in fitting]
-            useful = [(gain / cost[q], q) for gain, q in zip(gains, fitting, strict=True) if gain > LEAST_GAIN * now]
+            gains = [(now - criterion(counts + one_of[q]), q) for q in np.flatnonzero(counts @ cost + cost <= limit)]
+            useful = [(gain / per[q], q) for gain, q in gains if gain > LEAST_GAIN * now]
             if not useful:
                 return counts
             counts = counts + one_of[max(useful)[1]]
 
-    counts = extend(counts)
-    for _ in range(EXCHANGES):
-        swaps = [
-            counts - one_of[out] + one_of[into]
-            for out in np.flatnonzero(counts)
-            for into in range(len(cost))
-            if into != out and (counts - one_of[out] + one_of[into]) @ cost <= available * (1.0 + ROUNDING)
-        ]
-        best = min(swaps, key=criterion, default=counts)
-        if not criterion(best) < (1.0 - LEAST_GAIN) * criterion(counts):
-            break
-        counts = extend(best)
+    def exchanged(counts: IntArray) -> IntArray:
+        """Return counts after the single exchanges that lower the criterion."""
+        for _ in range(EXCHANGES):
+            pairs = product(np.flatnonzero(counts), range(len(cost)))
+            swapped = (counts - one_of[out] + one_of[into] for out, into in pairs if into != out)
+            best = min((one for one in swapped if one @ cost <= limit), key=criterion, default=counts)
+            if not criterion(best) < (1.0 - LEAST_GAIN) * criterion(counts):
+                break
+            counts = extended(best, cost)
+        return counts
+
+    none = np.zeros(len(cost), np.int64)
+    counts = min((exchanged(extended(none, per)) for per in (cost, np.ones(len(cost)))), key=criterion)
     ordered, taken = list[int](), np.zeros_like(counts)
     while np.any(taken < counts):
         left = np.flatnonzero(taken < counts).tolist()

@@ -14,6 +14,7 @@ from fusion.campaign.matrix import MatrixFit, main_components
 from fusion.campaign.recording_results import read_recorded
 from fusion.errors import InputError
 from fusion.planning.next_recordings import (
+    INTERNAL,
     WORTH,
     Candidate,
     Element,
@@ -36,8 +37,6 @@ from shakercal._common.digits import DASH, number_text
 
 HELPS = 0.95
 """Ratio of U after to U before above which recordings do not help."""
-SENSOR_OWN = "internal mass"
-"""Beginning of the names of unknowns that no exchange can change."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def _exchangeable(information: Sequence[JointInformation]) -> list[str]:
     for one in information:
         for name, share in one.shares(np.zeros(len(one.added)), 0).items():
             largest[name] = max(largest.get(name, 0.0), float(share.max()))
-    return [name for name, share in largest.items() if share > WORTH and name and not name.startswith(SENSOR_OWN)]
+    return [name for name, share in largest.items() if share > WORTH and name and not name.startswith(INTERNAL)]
 
 
 # Table, figure and text.
