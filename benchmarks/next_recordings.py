@@ -20,7 +20,7 @@ import numpy as np
 from coverage_poses import RUNS, Named, recorded
 from marked import markdown_row, markdown_table, write_marked
 from numpy.typing import NDArray
-from simulated_phasors import Channel, PhasorSetup
+from simulated_phasors import Channel, Pair, PhasorSetup
 
 from fusion.campaign.joint_evaluation import with_unique_names
 from fusion.campaign.matrix import MatrixFit, fit_matrix
@@ -41,18 +41,19 @@ from shaker.labels import LOAD_COMPONENTS
 FloatArray = NDArray[np.float64]
 PAGE = Path(__file__).parent.parent / "docs" / "next-recordings.md"
 MAIN: tuple[Element, ...] = tuple((name, place) for place, name in enumerate(LOAD_COMPONENTS))
-CASES: tuple[tuple[str, tuple[Element, ...], float, float], ...] = (
-    ("all six main", MAIN, 4.0, 1.0),
-    ("all six main", MAIN, 4.0, 30.0),
-    ("Fz/Fz", (("Fz", 2),), 2.0, 1.0),
-    ("My/Fx", (("My", 0),), 1.0, 1.0),
-    ("Mx/Mx, My/My, Mz/Mz", MAIN[3:], 2.0, 10.0),
+CASES: tuple[tuple[str, tuple[Element, ...], float, float, float | None], ...] = (
+    ("all six main", MAIN, 4.0, 1.0, None),
+    ("all six main", MAIN, 4.0, 30.0, None),
+    ("Fz/Fz", (("Fz", 2),), 2.0, 1.0, None),
+    ("My/Fx", (("My", 0),), 1.0, 1.0, None),
+    ("Mx/Mx, My/My, Mz/Mz", MAIN[3:], 2.0, 10.0, None),
+    ("all six main, with a stereo pair", MAIN, 4.0, 10.0, 5e-3),
 )
-"""Elements, hours, and the noise over that of `coverage_matrix`."""
+"""Elements, hours, noise over that of `coverage_matrix`, and u of the rotation of a stereo pair (rad)."""
 LENGTH_S = 120.0
 HEAD = (
-    "| elements | hours | noise | proposed: U / now, predicted | obtained | random: U / now, predicted | obtained "
-    "| best random, obtained | predicted / obtained, all elements |"
+    "| elements | hours | noise | proposed, predicted | proposed, obtained | random, predicted | random, obtained "
+    "| best random, obtained | predicted / obtained |"
 )
 
 
@@ -66,6 +67,11 @@ def changed(candidate: Candidate, noise: float, setup: PhasorSetup) -> PhasorSet
         if suffix:
             entry = entry.model_copy(update={"name": f"{entry.name}{suffix}", "common": entry.common or entry.name})
         return replace(channel, entry=entry, noise=noise * channel.noise / np.sqrt(candidate.longer))
+
+    def seen(pair: Pair) -> Pair:
+        phasors = pair.reading.phasors
+        smaller = replace(phasors, covariance=noise**2 * phasors.covariance / (candidate.longer * candidate.points))
+        return replace(pair, reading=replace(pair.reading, phasors=smaller))
 
     again = tuple(of(channel, f" {number}") for number in range(1, candidate.points) for channel in setup.channels)
     internal = setup.parts[1]
@@ -84,7 +90,8 @@ def changed(candidate: Candidate, noise: float, setup: PhasorSetup) -> PhasorSet
 
     parts = tuple(map(moved, setup.parts))
     outputs = tuple(replace(of(one), entry=one.entry) for one in setup.outputs)
-    return replace(setup, channels=(*map(of, setup.channels), *again), outputs=outputs, parts=parts)
+    channels, pairs = (*map(of, setup.channels), *again), tuple(map(seen, setup.pairs))
+    return replace(setup, channels=channels, pairs=pairs, outputs=outputs, parts=parts)
 
 
 def evaluated(entries: Sequence[RecordingResults]) -> tuple[MatrixFit, bool]:
@@ -102,13 +109,13 @@ def u_of(fit: MatrixFit, elements: Sequence[Element]) -> FloatArray:
 
 
 def obtained(
-    base: Sequence[RecordingResults], further: Sequence[Candidate], seed: int, noise: float
+    base: Sequence[RecordingResults], further: Sequence[Candidate], seed: int, noise: float, rotation: float | None
 ) -> MatrixFit | None:
     """Return the matrix with simulated further recordings; None if the recordings contradict each other."""
     entries = list(base)
     for number, one in enumerate(further, 1):
         draws = Named(seed, True, mounting=f"next {number}", recording=f"next {number}")
-        entries.append(recorded(int(one.folder), None, draws, partial(changed, one, noise))[0])
+        entries.append(recorded(int(one.folder), rotation, draws, partial(changed, one, noise))[0])
     fit, agree = evaluated(entries)
     return fit if agree and not fit.discrepancy else None
 
@@ -122,30 +129,29 @@ def random_choice(candidates: Sequence[Candidate], minutes: float, rng: np.rando
     return chosen
 
 
-def case_row(
-    name: str, elements: Sequence[Element], hours: float, noise: float, seeds: range, alternatives: int
-) -> str:
+def case_row(case: tuple[str, tuple[Element, ...], float, float, float | None], seeds: range, alternatives: int) -> str:
     """Return the row of one case."""
+    name, elements, hours, noise, rotation = case
     rows, ratios = list[tuple[float, ...]](), list[FloatArray]()
     for seed in seeds:
         parts = []
         for place in range(len(RUNS)):
             draws, usual = Named(seed, True, mounting=str(place), recording=str(place)), Candidate(str(place), 0.0)
-            parts.append(recorded(place, None, draws, partial(changed, usual, noise))[0])
+            parts.append(recorded(place, rotation, draws, partial(changed, usual, noise))[0])
         base = with_unique_names(parts)
         fit, joint = evaluated(base)
         if fit.discrepancy or not joint:
             continue
         lengths = {entry.folder: LENGTH_S for entry in base}
         candidates = list_candidates(base, lengths, ["laser"], Minutes())
-        information = joint_information(base, [fit], elements, candidates, joint=joint)
+        information = joint_information(base, [fit], elements, candidates)
         proposal = propose(elements, candidates, information, 60.0 * hours)
         rng = np.random.default_rng([seed, 7])
         choices = [[*proposal.chosen], *(random_choice(candidates, 60.0 * hours, rng) for _ in range(alternatives))]
         found = list[tuple[float, float]]()
         for chosen in choices:
             now = replace(proposal, chosen=tuple(chosen)).ratios(len(chosen))[0]
-            after = obtained(base, [candidates[q] for q in chosen], seed, noise)
+            after = obtained(base, [candidates[q] for q in chosen], seed, noise, rotation)
             if after is not None:
                 then = u_of(after, elements) / u_of(fit, elements)
                 ratios.append(now / then)
@@ -168,7 +174,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     rows = []
     for case in CASES:
         seeds = range(options.seed, options.seed + options.campaigns)
-        rows.append(case_row(*case, seeds, options.alternatives))
+        rows.append(case_row(case, seeds, options.alternatives))
         print(rows[-1], flush=True)
     text = markdown_table(HEAD, rows)
     text += f"\n\n{options.campaigns} campaigns with {options.alternatives} random choices each."

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice, product
+from itertools import islice, product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
+from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS
 from fusion.campaign.line_stack import Stack, stack_drives
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.matrix_solve import reading_model
 from fusion.campaign.recording_results import RecordingResults
 from fusion.campaign.unknowns import as_stated
 from fusion.estimation.coverage import Polar
-from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
+from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements, real_stack
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 LONGER, POINTS, HEAVIER = 4, 2, 2
@@ -47,7 +47,10 @@ Element = tuple[str, int]
 
 @dataclass(frozen=True)
 class Minutes:
-    """Duration of a new `mounting`, of aligning as many `points` again, of an `exchange` of a mass or instrument."""
+    """Durations of changes of the rig, in minutes.
+
+    A new `mounting`; alignment of as many `points` again; `exchange` of a mass or an instrument.
+    """
 
     mounting: float = 20.0
     points: float = 15.0
@@ -90,33 +93,24 @@ def list_candidates(
             once[drive.direction, parts] = entry
     found = []
     for entry in once.values():
-        recording = length_s.get(entry.folder, 0.0) / 60.0
-        usual = minutes.mounting + recording
-        found.append(Candidate(entry.folder, usual))
-        found.append(
-            Candidate(entry.folder, usual + (LONGER - 1) * recording, f"{LONGER} times as long", longer=LONGER)
-        )
+        record = length_s.get(entry.folder, 0.0) / 60.0
+        usual = minutes.mounting + record
+        same = Candidate(entry.folder, usual)
+        more = [replace(same, minutes=usual + (LONGER - 1) * record, change=f"{LONGER} times as long", longer=LONGER)]
         if entry.knowledge is not None:
-            more = f"{POINTS} times as many points"
-            found.append(Candidate(entry.folder, usual + minutes.points, more, points=POINTS))
-        found.append(Candidate(entry.folder, usual + minutes.exchange, f"{HEAVIER} times the mass", heavier=HEAVIER))
-        for group in groups:
-            found.append(Candidate(entry.folder, usual + minutes.exchange, f"another {group}", exchanged=f"{group}: "))
+            text = f"{POINTS} times as many points"
+            more.append(replace(same, minutes=usual + minutes.points, change=text, points=POINTS))
+        other = replace(same, minutes=usual + minutes.exchange)
+        more.append(replace(other, change=f"{HEAVIER} times the mass", heavier=HEAVIER))
+        found += [same, *more, *(replace(other, change=f"another {one}", exchanged=f"{one}: ") for one in groups)]
     return tuple(found)
 
 
-class _Known(NamedTuple):
-    """Information (W, W) of one recording about unknowns by their names in the campaign."""
+class _PartialInformation(NamedTuple):
+    """Information (12C + A, 12C + A) about matrix and A unknowns by name."""
 
     names: tuple[str, ...]
     information: FloatArray
-
-
-class _Readings(NamedTuple):
-    """Readings of one line, `white` (2C, 12C + A): derivatives by the matrix and by unknowns, over their noise."""
-
-    names: tuple[str, ...]
-    white: FloatArray
 
 
 @dataclass(frozen=True)
@@ -135,6 +129,11 @@ class JointInformation:
     rows: FloatArray
     present: tuple[Polar, ...]
 
+    @property
+    def elements(self) -> int:
+        """Number of parameters of the matrix, 12C."""
+        return len(self.base) - len(self.unknowns)
+
     def covariance(self, counts: FloatArray | IntArray, further: FloatArray | float = 0.0) -> FloatArray:
         """Return the covariance (E, P) of elements and unknowns with `counts` (Q,) of the candidates.
 
@@ -151,22 +150,23 @@ class JointInformation:
         return np.asarray(np.sum(self.covariance(counts, further) * self.rows, axis=1))
 
     def shares(self, counts: FloatArray | IntArray, part: int) -> dict[str, FloatArray]:
-        """Return shares (E,) of the variances by label (`part` 1) or by group (0) of shared unknowns.
+        """Return shares (E,) of shared unknowns in the variances.
+
+        By label (`part` 1) or by group (0).
 
         The estimate contains c·ε of an unknown with unit prior if c is its covariance with the element.
         """
         covariance = self.covariance(counts)
         variance = np.sum(covariance * self.rows, axis=1)
         found: dict[str, FloatArray] = {}
-        for about, effect in zip(self.unknowns, covariance[:, -len(self.unknowns) :].T, strict=True):
+        for about, effect in zip(self.unknowns, covariance[:, self.elements :].T, strict=True):
             found[about[part]] = found.get(about[part], np.zeros(len(variance))) + effect**2 / variance
         return found
 
     def halved(self, counts: FloatArray | IntArray, label: str) -> FloatArray:
-        """Return the variances (E,) if u of the unknowns of one label were half as large."""
-        further = np.zeros(len(self.base))
-        further[-len(self.unknowns) :] = [3.0 * (about[1] == label) for about in self.unknowns]
-        return self.variance(counts, np.diag(further))
+        """Return the variances (E,) with half the u of the unknowns of one label."""
+        further = [3.0 * (about[1] == label) for about in self.unknowns]
+        return self.variance(counts, np.diag([*np.zeros(self.elements), *further]))
 
 
 def joint_information(
@@ -174,35 +174,22 @@ def joint_information(
     fits: Sequence[MatrixFit],
     elements: Sequence[Element],
     candidates: Sequence[Candidate],
-    *,
-    joint: bool,
 ) -> tuple[JointInformation, ...]:
     """Return the information about elements at every frequency of a matrix.
 
     A reading y = (1 + ρ·ε)∘(S·L) of a load l = L + E·ε + noise is linear in S and in the shared unknowns ε with unit
     prior. Recordings are independent for given ε, so their information adds up (Plackett 1950, Biometrika 37, 149).
-    Unknowns of one recording or mounting are eliminated. `recorded`: with unique names. `joint`: whether the campaign
-    uses what recordings say of shared unknowns.
+    Unknowns of one mounting are eliminated. `recorded`: with unique names, and without `knowledge` if the campaign does
+    not use it.
     """
-    base = [as_stated(entry) if joint else entry for entry in recorded]
+    base, mounted = [as_stated(entry) for entry in recorded], dict[str, list[RecordingResults]]()
     source = {entry.folder: entry for entry in base}
-    virtual = [_virtual(source[one.folder], one, f"next {number}") for number, one in enumerate(candidates, 1)]
-    known: list[list[_Known]] = [[] for _ in range(1 + len(candidates))]
-    if joint:
-        known = [[_known(entry) for entry in base if entry.knowledge is not None]]
-        known += [
-            [_known(entry, one)] if entry.knowledge is not None else []
-            for entry, one in zip(virtual, candidates, strict=True)
-        ]
-    found = []
-    for fit in fits:
-        width_hz = FREQUENCY_TOLERANCE * fit.frequency_hz
-        groups = [
-            [one for entry in of for one in entry.excited_lines if abs(one.frequency_hz - fit.frequency_hz) < width_hz]
-            for of in (base, *([entry] for entry in virtual))
-        ]
-        found.append(_information(fit, elements, groups, known))
-    return tuple(found)
+    for entry in base:
+        mounted.setdefault(entry.mounting, []).append(entry)
+    further = [_virtual(source[one.folder], one, f"next {number}") for number, one in enumerate(candidates, 1)]
+    groups = [*mounted.values(), *([entry] for entry in further)]
+    changes = [*[Candidate("", 0.0)] * len(mounted), *candidates]
+    return tuple(_information(fit, elements, groups, changes, len(mounted)) for fit in fits)
 
 
 def _virtual(entry: RecordingResults, candidate: Candidate, name: str) -> RecordingResults:
@@ -240,29 +227,29 @@ def _changed(uncertainty: Uncertainty, noise: float, of: Callable[[Influence], I
     return Uncertainty(tuple(random), tuple(map(of, uncertainty.influences)))
 
 
-def _known(entry: RecordingResults, candidate: Candidate | None = None) -> _Known:
-    """Return the information of a recording, or of a candidate with its name, about shared unknowns.
+def _known(entry: RecordingResults, candidate: Candidate, wide: int) -> _PartialInformation:
+    """Return the information of a recording with the changes of a candidate about shared unknowns.
 
     M = EᵀPE grows with the inverse of the noise. Twice the points have the mean of two independent unknowns of the
     mounting, of half the variance, at twice the information: in its u, that is unchanged.
     """
-    assert entry.knowledge is not None
-    knowledge, one_of = entry.knowledge(), candidate or Candidate(entry.folder, 0.0)
+    if entry.knowledge is None:
+        return _PartialInformation((), np.zeros((wide, wide)))
+    knowledge = entry.knowledge()
     about = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
-    more = [1 if _of_points(name, scope) else one_of.points for name, *_, scope, _, _, _ in about]
-    scale = np.sqrt(one_of.longer * np.array(more))
-    alone = np.eye(len(about))
+    more = [1 if _of_points(name, scope) else candidate.points for name, *_, scope, _, _, _ in about]
+    scale, alone = np.sqrt(candidate.longer * np.array(more)), np.eye(len(about))
     raw = scale[:, None] * (knowledge.inverse - alone) * scale
     information = np.linalg.solve(alone + raw @ knowledge.second_order, raw)
     names = [
-        _exchanged(name, one_of, scope) if scope == "rig" else f"{name} [{entry.mounting}]"
+        _exchanged(name, candidate, scope) if scope == "rig" else f"{name} [{entry.mounting}]"
         for name, *_, scope, _, _, _ in about
     ]
-    return _Known(tuple(names), (information + information.T) / 2.0)
+    return _PartialInformation(tuple(names), np.pad((information + information.T) / 2.0, (wide, 0)))
 
 
 def _of_points(name: str, scope: str) -> bool:
-    """Return whether an unknown of the motion belongs to one measuring point, so that more points average it."""
+    """Return whether more measuring points average an unknown of the motion."""
     return scope == "mounting" and not name.startswith(HEAD)
 
 
@@ -275,38 +262,47 @@ def _exchanged(name: str, candidate: Candidate, scope: str) -> str:
 def _information(
     fit: MatrixFit,
     elements: Sequence[Element],
-    groups: Sequence[Sequence[ExcitedLine]],
-    known: Sequence[Sequence[_Known]],
+    groups: Sequence[Sequence[RecordingResults]],
+    changes: Sequence[Candidate],
+    mountings: int,
 ) -> JointInformation:
-    """Return the information at one frequency: the recordings first, then each candidate."""
-    stack = stack_drives([drive for group in groups for drive in group], fit.channels)
-    readings = iter(_readings(stack, fit.value * stack.load_size / stack.output_size[:, None], fit.discrepancy))
-    of_group = [list(islice(readings, len(group))) for group in groups]
-    named = [[one.names for one in mine] + [one.names for one in of] for mine, of in zip(of_group, known, strict=True)]
-    count = Counter(name for names in named for name in set().union(*names))
-    kept = {name: place for place, name in enumerate(name for name in count if count[name] > 1)}
-    wide = 2 * fit.value.size
-    first, *others = (_gathered(mine, of, kept, wide) for mine, of in zip(of_group, known, strict=True))
-    index = [fit.channels.index(channel) * LOADS + j for channel, j in elements]
-    value, rows = fit.value.ravel()[index], np.zeros((len(index), wide + len(kept)))
-    unit, label = value / np.abs(value), {influence.name: influence.label for influence in stack.unknowns}
-    rows[range(len(index)), index], rows[range(len(index)), [wide // 2 + place for place in index]] = (
-        unit.real,
-        unit.imag,
-    )
+    """Return the information at one frequency.
+
+    `groups`: recordings of each mounting, then each candidate."""
+    near, wide = FREQUENCY_TOLERANCE * fit.frequency_hz, 2 * fit.value.size
+    lines = [
+        [one for entry in of for one in entry.excited_lines if abs(one.frequency_hz - fit.frequency_hz) < near]
+        for of in groups
+    ]
+    stack = stack_drives([one for of in lines for one in of], fit.channels)
+    readings = _readings(stack, fit.value * stack.load_size / stack.output_size[:, None], fit.discrepancy)
+    parts = [
+        [*islice(readings, len(of)), *(_known(entry, change, wide) for entry in entries)]
+        for of, entries, change in zip(lines, groups, changes, strict=True)
+    ]
+    count = Counter(name for of in parts for name in set().union(*(part.names for part in of)))
+    shared = [name for name in count if count[name] > 1]
+    found = [_gathered(of, shared, wide) for of in parts]
+    index = np.array([fit.channels.index(channel) * LOADS + j for channel, j in elements])
+    value, label = fit.value.ravel()[index], {influence.name: influence.label for influence in stack.unknowns}
+    both = np.eye(wide + len(shared))[np.concatenate([index, index + wide // 2])]
     (polar,) = polar_elements(value[None], fit.uncertainty.at(index))
     return JointInformation(
         frequency_hz=fit.frequency_hz,
-        base=first + np.diag(np.repeat([0.0, 1.0], [wide, len(kept)])),
-        added=np.stack(others),
-        unknowns=tuple((name.rpartition(": ")[0].partition(": ")[0], label.get(name, name)) for name in kept),
-        rows=rows,
+        base=np.sum(found[:mountings], axis=0) + np.diag(np.repeat([0.0, 1.0], [wide, len(shared)])),
+        added=np.array(found[mountings:]),
+        unknowns=tuple((name.rpartition(": ")[0].partition(": ")[0], label.get(name, name)) for name in shared),
+        rows=np.sum(
+            real_stack(np.exp(1j * np.angle(value))).reshape(2, -1, 1) * both.reshape(2, len(index), -1), axis=0
+        ),
         present=tuple(one for one in polar if one is not None),
     )
 
 
-def _readings(stack: Stack, matrix: ComplexArray, discrepancy: float) -> Iterator[_Readings]:
-    """Yield the whitened readings of every line; a disagreement of recordings is an unknown of its mounting."""
+def _readings(stack: Stack, matrix: ComplexArray, discrepancy: float) -> Iterator[_PartialInformation]:
+    """Yield the information of every line.
+
+    A disagreement of recordings is an unknown of the mounting and direction."""
     effects, design, noise = reading_model(stack, matrix)
     sizes = discrepancy * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1)
     for r, drive in enumerate(stack.drives):
@@ -316,22 +312,17 @@ def _readings(stack: Stack, matrix: ComplexArray, discrepancy: float) -> Iterato
             names += [f"disagreement {place} [{drive.mounting}] {drive.direction}" for place in range(len(noise[r]))]
             columns.append(np.diag(np.tile(sizes[r], 2)) * np.tile(stack.usable[r], 2))
         white = solve_triangular(np.linalg.cholesky(noise[r]), np.concatenate(columns, axis=1), lower=True)
-        yield _Readings(tuple(names), white)
+        yield _PartialInformation(tuple(names), white.T @ white)
 
 
-def _gathered(readings: Sequence[_Readings], known: Sequence[_Known], kept: Mapping[str, int], wide: int) -> FloatArray:
-    """Return the information (P, P) of some recordings about matrix and kept unknowns, others eliminated."""
-    place = {name: wide + index for name, index in kept.items()}
-    for name in chain.from_iterable([*(one.names for one in readings), *(one.names for one in known)]):
-        place.setdefault(name, wide + len(place))
-    total = np.zeros((wide + len(place), wide + len(place)))
-    for reading in readings:
-        index = np.array([*range(wide), *(place[name] for name in reading.names)])
-        total[np.ix_(index, index)] += reading.white.T @ reading.white
-    for one in known:
-        index = np.array([place[name] for name in one.names])
-        total[np.ix_(index, index)] += one.information
-    size = wide + len(kept)
+def _gathered(parts: Sequence[_PartialInformation], shared: Sequence[str], wide: int) -> FloatArray:
+    """Return the information (P, P) of some parts about matrix and shared unknowns, others eliminated."""
+    names = dict.fromkeys([*shared, *(name for part in parts for name in part.names)])
+    place = {name: wide + index for index, name in enumerate(names)}
+    size, total = wide + len(shared), np.zeros((wide + len(place), wide + len(place)))
+    for part in parts:
+        index = np.array([*range(wide), *(place[name] for name in part.names)])
+        total[np.ix_(index, index)] += part.information
     alone = total[size:, size:] + np.eye(len(total) - size)
     return np.asarray(total[:size, :size] - total[:size, size:] @ np.linalg.solve(alone, total[size:, :size]))
 
@@ -340,7 +331,7 @@ def _gathered(readings: Sequence[_Readings], known: Sequence[_Known], kept: Mapp
 
 
 def choose(criterion: Callable[[IntArray], float], minutes: Sequence[float], available: float) -> list[int]:
-    """Return candidates, repeated as often as chosen, that lower a criterion most within the available minutes.
+    """Return the candidates that lower a criterion most within the available minutes.
 
     Each step adds the candidate of the largest decrease per minute. Then single candidates are exchanged while this
     lowers the criterion (Fedorov 1972, Theory of Optimal Experiments). A second start adds those of the largest
@@ -350,7 +341,7 @@ def choose(criterion: Callable[[IntArray], float], minutes: Sequence[float], ava
     limit = available * (1.0 + ROUNDING)
 
     def extended(counts: IntArray, per: FloatArray) -> IntArray:
-        """Return counts with the candidates of the largest decrease over `per` (Q,) added while they fit."""
+        """Add the candidates of the largest decrease over `per` (Q,) while they fit."""
         while True:
             now = criterion(counts)
             gains = [(now - criterion(counts + one_of[q]), q) for q in np.flatnonzero(counts @ cost + cost <= limit)]
@@ -411,7 +402,7 @@ def propose(
     information: Sequence[JointInformation],
     available: float,
 ) -> Proposal:
-    """Return the recordings that lower the mean relative variance of the elements most within `available` minutes.
+    """Return the recordings that lower U of elements most within the available minutes.
 
     The criterion is the mean over elements and frequencies of predicted over present variance: C-optimality for one
     element, else A-optimality with the present variances as weights (Pukelsheim 1993, Optimal Design of Experiments).

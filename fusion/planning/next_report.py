@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,30 +31,20 @@ from fusion.report.figure import COLOURS, empty_figure
 from fusion.report.figure_files import render_figure
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
-from fusion.report.table import TableColumn, csv_text, page_column, text_column
+from fusion.report.table import TableColumn, csv_text, text_column
 from fusion.report.terminal import print_table, print_text
-from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.digits import DASH, number_text
 
 HELPS = 0.95
 """Ratio of U after to U before above which recordings do not help."""
 
 
-@dataclass(frozen=True)
-class NextPlan:
-    """Proposed recordings of a campaign. `unit`: of the outputs; `hours`: available."""
+def plan_next(folder: Path, elements: Sequence[tuple[str, str]] | None, hours: float, minutes: Minutes) -> Proposal:
+    """Return the recordings that lower U of elements most in some hours.
 
-    campaign: str
-    unit: str
-    hours: float
-    proposal: Proposal
-
-
-def plan_next(folder: Path, elements: Sequence[tuple[str, str]] | None, hours: float, minutes: Minutes) -> NextPlan:
-    """Return the recordings that lower U of elements (output, load; by default the main ones) most in some hours.
-
-    `folder`: results of a campaign with a matrix. Raises `InputError` without one, for an element that it lacks, and
-    if no recording fits into the time.
+    `folder`: results of a campaign with a matrix. `elements`: output and load, by default the main ones. Raises
+    `InputError` without a matrix, for an element that it lacks, and if no recording fits into the time.
     """
     folders = sorted(path.parent for path in folder.glob(f"*/{RESULT_FILE}"))
     recorded = with_unique_names([read_recorded(one) for one in folders])
@@ -63,19 +54,16 @@ def plan_next(folder: Path, elements: Sequence[tuple[str, str]] | None, hours: f
         raise InputError(NEXT_WITHOUT_MATRIX, folder, "--next", found=found, expected="a campaign with a matrix")
     chosen, fits = _chosen(evaluation, elements)
     length_s = {one.name: _length_s(one) for one in folders}
-    joint, names = bool(evaluation.unknowns), list[str]()
+    if not evaluation.unknowns:
+        recorded = [replace(entry, knowledge=None) for entry in recorded]
+    candidates = list_candidates(recorded, length_s, (), minutes)
+    names = _exchangeable(joint_information(recorded, fits, chosen, candidates))
     candidates = list_candidates(recorded, length_s, names, minutes)
-    least = min(one.minutes for one in candidates)
-    if hours * 60.0 < least:
-        expected = f"at least {number_text(least / 60.0, 2)} h, the shortest recording with its mounting"
+    least = min(one.minutes for one in candidates) / 60.0
+    if hours < least:
+        expected = f"at least {number_text(least, 2)} h, the shortest recording with its mounting"
         raise InputError(NEXT_HOURS, "--hours", found=f"{hours:g} h", expected=expected)
-    information = joint_information(recorded, fits, chosen, candidates, joint=joint)
-    names = _exchangeable(information)
-    if names:
-        candidates = list_candidates(recorded, length_s, names, minutes)
-        information = joint_information(recorded, fits, chosen, candidates, joint=joint)
-    unit = "" if evaluation.sensor is None else evaluation.sensor.unit
-    return NextPlan(folder.name, unit, hours, propose(chosen, candidates, information, 60.0 * hours))
+    return propose(chosen, candidates, joint_information(recorded, fits, chosen, candidates), 60.0 * hours)
 
 
 def _chosen(
@@ -114,140 +102,95 @@ def _exchangeable(information: Sequence[JointInformation]) -> list[str]:
 # Table, figure and text.
 
 
-@dataclass(frozen=True)
-class _Point:
-    """One element at one frequency, after some of the proposed recordings."""
+class Prediction(NamedTuple):
+    """Relative U of the magnitude of one element at one frequency, after some recordings.
 
-    plan: NextPlan
+    `now`, `then`, `limit`: present, predicted, and with endless repeats. `influence`: largest common one, with its
+    share of the variance, and U with half its u.
+    """
+
     step: int
-    frequency: int
-    element: int
-
-    @property
-    def candidate(self) -> Candidate | None:
-        """The last recording, None for the present campaign."""
-        proposal = self.plan.proposal
-        return proposal.candidates[proposal.chosen[self.step - 1]] if self.step else None
-
-    @property
-    def hours(self) -> float:
-        """Time of all recordings so far."""
-        proposal = self.plan.proposal
-        return sum(proposal.candidates[q].minutes for q in proposal.chosen[: self.step]) / 60.0
-
-    @property
-    def at(self) -> JointInformation:
-        """Information at the frequency."""
-        return self.plan.proposal.information[self.frequency]
-
-    @property
-    def name(self) -> str:
-        """Output and load."""
-        channel, load = self.plan.proposal.elements[self.element]
-        return f"{channel}/{LOAD_COMPONENTS[load]}"
-
-    @property
-    def magnitude(self) -> float:
-        """Magnitude of the element."""
-        return self.at.present[self.element].magnitude
-
-    @property
-    def expanded_now(self) -> float:
-        """Present U of the magnitude."""
-        return self.at.present[self.element].expanded_magnitude
-
-    @property
-    def expanded(self) -> float:
-        """Predicted U of the magnitude, with the present coverage factor."""
-        return self.expanded_now * float(self.plan.proposal.ratios(self.step)[self.frequency, self.element])
-
-    @property
-    def limit(self) -> float:
-        """U that no number of repeats reduces further."""
-        return self.expanded_now * float(self.plan.proposal.repeated[self.frequency, self.element])
-
-    @property
-    def largest(self) -> tuple[str, float, float]:
-        """Largest common influence: label, share of the variance, and U with half its u."""
-        counts = self.plan.proposal.counts(self.step)
-        shares = {label: share[self.element] for label, share in self.at.shares(counts, 1).items()}
-        if not shares:
-            return DASH, 0.0, self.expanded
-        label = max(shares, key=lambda one: float(shares[one]))
-        less = self.at.halved(counts, label)[self.element] / self.at.variance(counts)[self.element]
-        return label, float(shares[label]), self.expanded * float(np.sqrt(less))
-
-    @property
-    def unit(self) -> str:
-        """Unit of the element."""
-        return sensitivity_unit(self.plan.unit, LOAD_COMPONENTS[self.plan.proposal.elements[self.element][1]])
-
-    def percent(self, expanded: float) -> str:
-        """Return U as a percentage of the magnitude."""
-        return number_text(100.0 * expanded / self.magnitude, 3)
+    hours: float
+    candidate: Candidate | None
+    element: str
+    frequency_hz: float
+    now: float
+    then: float
+    limit: float
+    influence: str
+    share: float
+    halved: float
 
 
-def _points(plan: NextPlan, step: int) -> list[_Point]:
+def predictions(proposal: Proposal, step: int) -> list[Prediction]:
     """Return all elements at all frequencies after some recordings."""
-    shape = len(plan.proposal.information), len(plan.proposal.elements)
-    return [_Point(plan, step, f, e) for f, e in np.ndindex(shape)]
+    counts, ratios, limits, found = proposal.counts(step), proposal.ratios(step), proposal.repeated, []
+    done = [proposal.candidates[q] for q in proposal.chosen[:step]]
+    for f, information in enumerate(proposal.information):
+        labels, variance = information.shares(counts, 1), information.variance(counts)
+        for e, (channel, load) in enumerate(proposal.elements):
+            now = information.present[e].expanded_magnitude / information.present[e].magnitude
+            then = now * float(ratios[f, e])
+            label = max(labels, key=lambda one: float(labels[one][e]), default=DASH)
+            less = float(np.sqrt(information.halved(counts, label)[e] / variance[e]))
+            where = f"{channel}/{LOAD_COMPONENTS[load]}", information.frequency_hz
+            limit, share = now * float(limits[f, e]), float(labels[label][e]) if labels else 0.0
+            last, hours = done[-1] if done else None, sum(one.minutes for one in done) / 60.0
+            found.append(Prediction(step, hours, last, *where, now, then, limit, label, share, then * less))
+    return found
 
 
-COLUMNS: list[TableColumn[_Point]] = [
-    TableColumn("step", lambda point: point.step),
-    TableColumn("hours", lambda point: point.hours),
-    TableColumn("recording", lambda point: point.candidate and point.candidate.folder),
-    TableColumn("change", lambda point: point.candidate and point.candidate.change),
-    page_column("element", lambda point: point.name, "l"),
-    TableColumn("channel", lambda point: point.name.partition("/")[0]),
-    TableColumn("component", lambda point: point.name.partition("/")[2]),
-    TableColumn("frequency_hz", lambda point: point.at.frequency_hz, "f / Hz", lambda p: f"{p.at.frequency_hz:.2f}"),
-    TableColumn("magnitude", lambda point: point.magnitude),
-    TableColumn("U_now", lambda point: point.expanded_now, "U now / %", lambda p: p.percent(p.expanded_now)),
-    TableColumn("U_predicted", lambda point: point.expanded, "then / %", lambda p: p.percent(p.expanded)),
-    TableColumn("U_limit", lambda point: point.limit, "limit / %", lambda p: p.percent(p.limit)),
-    TableColumn("unit", lambda point: point.unit),
-    text_column("common_influence", lambda point: point.largest[0], "largest common influence"),
-    TableColumn("share", lambda point: point.largest[1], "share / %", lambda p: f"{100.0 * p.largest[1]:.0f}"),
-    TableColumn("U_halved", lambda point: point.largest[2], "halved / %", lambda p: p.percent(p.largest[2])),
+def _percent(name: str, head: str, value: Callable[[Prediction], float]) -> TableColumn[Prediction]:
+    """Return the column of a ratio, shown in per cent."""
+    return TableColumn(name, value, f"{head} / %", lambda row: number_text(100.0 * value(row), 3))
+
+
+COLUMNS: list[TableColumn[Prediction]] = [
+    TableColumn("step", lambda row: row.step),
+    TableColumn("hours", lambda row: row.hours),
+    TableColumn("recording", lambda row: row.candidate and row.candidate.folder),
+    TableColumn("change", lambda row: row.candidate and row.candidate.change),
+    text_column("element", lambda row: row.element, "element"),
+    TableColumn("frequency_hz", lambda row: row.frequency_hz, "f / Hz", lambda row: f"{row.frequency_hz:.2f}"),
+    _percent("U_now_relative", "U now", lambda row: row.now),
+    _percent("U_then_relative", "then", lambda row: row.then),
+    _percent("U_limit_relative", "limit", lambda row: row.limit),
+    text_column("common_influence", lambda row: row.influence, "largest common influence"),
+    _percent("share", "share", lambda row: row.share),
+    _percent("U_halved_relative", "halved", lambda row: row.halved),
 ]
 
 
-def next_csv(plan: NextPlan) -> str:
-    """Return the prediction after every recording, by element and frequency; step 0 is the present campaign."""
-    steps = range(len(plan.proposal.chosen) + 1)
-    return csv_text(COLUMNS, (point for step in steps for point in _points(plan, step)))
+def next_csv(proposal: Proposal) -> str:
+    """Return the predictions after every recording; step 0 is the present campaign."""
+    return csv_text(COLUMNS, (row for step in range(len(proposal.chosen) + 1) for row in predictions(proposal, step)))
 
 
-def print_next(plan: NextPlan) -> None:
+def print_next(proposal: Proposal) -> None:
     """Print proposed recordings, predicted U, and what limits it to stdout."""
-    proposal = plan.proposal
-    rows = []
-    for step, chosen in enumerate(proposal.chosen, 1):
-        one, hours = proposal.candidates[chosen], _Point(plan, step, 0, 0).hours
-        ratio = f"{float(np.mean(proposal.ratios(step))):.3f}"
-        rows.append([str(step), one.folder, one.change or "the same again", f"{hours:.2f}", ratio])
+    steps = [predictions(proposal, step)[0] for step in range(1, len(proposal.chosen) + 1)]
+    rows = [
+        [str(row.step), one.folder, one.change or "the same again", f"{row.hours:.2f}",
+         f"{float(np.mean(proposal.ratios(row.step))):.3f}"]
+        for row in steps
+        if (one := row.candidate) is not None
+    ]  # fmt: skip
     if rows:
-        head = ["", "recording", "mounted anew", "hours", "U / now"]
-        print_table(f"Next recordings of {plan.campaign}, {plan.hours:g} h", head, "rllrr", [rows])
+        print_table("Next recordings", ["", "recording", "mounted anew", "hours", "U / now"], "rllrr", [rows])
     else:
         print_text("No further recording of these set-ups lowers U noticeably.")
-    last = _points(plan, len(rows))
-    worst = [
-        max((point for point in last if point.element == e), key=lambda point: point.expanded / point.magnitude)
-        for e in range(len(proposal.elements))
-    ]
+    last, count = predictions(proposal, len(rows)), len(proposal.elements)
+    worst = [max(last[e::count], key=lambda row: row.then) for e in range(count)]
     shown = [column for column in COLUMNS if column.head is not None]
-    align = "".join(column.align for column in shown)
-    cells = [[column.cell(point) for column in shown] for point in worst]
-    print_table("Elements, each at the frequency of its largest U", [c.head or "" for c in shown], align, [cells])
-    for point in worst:
-        if point.expanded > HELPS * point.expanded_now:
-            label, share, halved = point.largest
+    heads, align = [column.head or "" for column in shown], "".join(column.align for column in shown)
+    cells = [[column.cell(row) for column in shown] for row in worst]
+    print_table("Elements, each at the frequency of its largest U", heads, align, [cells])
+    for row in worst:
+        if row.then > HELPS * row.now:
             print_text(
-                f"{point.name}: these recordings lower U by less than {100.0 * (1.0 - HELPS):.0f} %. {label} has "
-                f"{100.0 * share:.0f} % of the variance; half its u lowers U by "
-                f"{100.0 * (1.0 - halved / point.expanded):.0f} %."
+                f"{row.element}: these recordings lower U by less than {100.0 * (1.0 - HELPS):.0f} %. {row.influence} "
+                f"has {100.0 * row.share:.0f} % of the variance; half its u lowers U by "
+                f"{100.0 * (1.0 - row.halved / row.then):.0f} %."
             )
     print_text(
         "U / now: mean of predicted over present U; then: after these recordings; limit: with endless repeats of all; "
@@ -255,21 +198,19 @@ def print_next(plan: NextPlan) -> None:
     )
 
 
-def draw_next(plan: NextPlan, kind: str) -> bytes:
+def draw_next(proposal: Proposal, kind: str) -> bytes:
     """Draw the predicted U of every element over the time, mean of the frequencies.
 
     `kind` is the file format: png, svg or pdf.
     """
-    drawn, proposal = empty_figure("next", 3.0), plan.proposal
-    steps, (panel,) = range(len(proposal.chosen) + 1), drawn.panels
-    hours = np.array([_Point(plan, step, 0, 0).hours for step in steps])
+    drawn, steps = empty_figure("next", 3.0), range(len(proposal.chosen) + 1)
+    (panel,) = drawn.panels
+    hours = [predictions(proposal, step)[0].hours for step in steps]
     ratios = np.array([np.mean(proposal.ratios(step), axis=0) for step in steps])
-    limits = np.mean(proposal.repeated, axis=0)
-    for e, (point, colour) in enumerate(zip(_points(plan, 0), cycle(COLOURS), strict=False)):
-        if e < len(proposal.elements):
-            panel.line(hours, ratios[:, e], point.name, colour=colour)
-            panel.points(hours, ratios[:, e], colour=colour, size=3.5)
-            panel.rule(limits[e], "endless repeats", colour=colour, dashed=True, width=0.6)
-    panel.x.label, panel.y.label = "time / h", "U over present U"
-    panel.y.limits = (0.0, 1.05)
+    limits, names = np.mean(proposal.repeated, axis=0), [row.element for row in predictions(proposal, 0)]
+    for e, (limit, colour) in enumerate(zip(limits, cycle(COLOURS), strict=False)):
+        panel.line(hours, ratios[:, e], names[e], colour=colour)
+        panel.points(hours, ratios[:, e], colour=colour, size=3.5)
+        panel.rule(limit, "endless repeats", colour=colour, dashed=True, width=0.6)
+    panel.x.label, panel.y.label, panel.y.limits = "time / h", "U over present U", (0.0, 1.05)
     return render_figure(drawn.with_title("Next recordings", "Predicted U over the time."), kind)

@@ -70,7 +70,7 @@ def six() -> list[RecordingResults]:
 def information(recorded: Sequence[RecordingResults], load: int, candidates: Sequence[Candidate]) -> JointInformation:
     """Joint information about a main element."""
     fit = fit_matrix([line for entry in recorded for line in entry.excited_lines])
-    (found,) = joint_information(recorded, [fit], [(LOAD_COMPONENTS[load], load)], candidates, joint=False)
+    (found,) = joint_information(recorded, [fit], [(LOAD_COMPONENTS[load], load)], candidates)
     return found
 
 
@@ -147,7 +147,7 @@ def test_choices_are_near_the_best_of_all() -> None:
         every = (np.array(one) for one in product(range(9), repeat=4) if np.dot(one, minutes) <= 8.0)
         lost.append(criterion(counts) / min(map(criterion, every)))
     assert np.median(lost) < 1.01
-    assert max(lost) < 1.1
+    assert max(lost) < 1.05
 
 
 def test_wrong_input_is_one_sentence(refused: RefusedCommand, tmp_path: Path) -> None:
@@ -173,15 +173,16 @@ def test_the_command_reads_a_campaign(
     assert figure.read_bytes().lstrip().startswith(b"<?xml")
     # Step 0 is the campaign as it was evaluated, apart from the coverage factor's digits.
     stated = {
-        (row["channel"], row["component"], round(float(row["frequency_hz"]))): float(row["U_magnitude"])
+        (f"{row['channel']}/{row['component']}", round(float(row["frequency_hz"]))): float(row["U_magnitude"])
+        / float(row["magnitude"])
         for row in rows(results / "curve.csv")
         if row["kind"] == "matrix"
     }
     for row in written:
-        key = row["channel"], row["component"], round(float(row["frequency_hz"]))
-        assert float(row["U_now"]) == pytest.approx(stated[key], rel=1e-6)
+        key = row["element"], round(float(row["frequency_hz"]))
+        assert float(row["U_now_relative"]) == pytest.approx(stated[key], rel=1e-6)
     last = [row for row in written if row["step"] == written[-1]["step"]]
     assert 0.0 < float(last[0]["hours"]) <= 2.0
-    assert all(float(row["U_predicted"]) < float(row["U_now"]) for row in last)
+    assert all(float(row["U_then_relative"]) < float(row["U_now_relative"]) for row in last)
     assert NEXT_ELEMENT.code in refused(*command[:3], "--elements", "Fz/Fq")
     assert NEXT_HOURS.code in refused(*command[:3], "--hours", "0.1")
