@@ -152,9 +152,8 @@ class JointInformation:
     def shares(self, counts: FloatArray | IntArray, part: int) -> dict[str, FloatArray]:
         """Return shares (E,) of shared unknowns in the variances.
 
-        By label (`part` 1) or by group (0).
-
-        The estimate contains c·ε of an unknown with unit prior if c is its covariance with the element.
+        By label (`part` 1) or group (0). The estimate contains c·ε of an unknown with unit prior if c is its covariance
+        with the element.
         """
         covariance = self.covariance(counts)
         variance = np.sum(covariance * self.rows, axis=1)
@@ -391,7 +390,7 @@ class Proposal:
 
     @property
     def repeated(self) -> FloatArray:
-        """Ratios (F, E) to which u falls if all set-ups are mounted anew for ever."""
+        """Ratios (F, E) to which u falls if all set-ups are repeated endlessly."""
         endless = np.array([ENDLESS * (not one.change) for one in self.candidates])
         return np.sqrt([one.variance(endless) / one.variance(0 * endless) for one in self.information])
 
