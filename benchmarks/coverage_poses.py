@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -87,20 +87,25 @@ def stereo_pair(setup: PhasorSetup, rotation: float) -> Pair:
     return Pair(StereoReading("top", entry, phasors, {}, 0.0), 40.0)
 
 
-def recorded(place: int, rotation: float | None, draws: Named) -> tuple[RecordingResults, ComplexArray, ComplexArray]:
-    """Return one recording as a campaign reads it, its true loads (K, 6) and the true matrix (K, 6, 6)."""
+def recorded(
+    place: int, rotation: float | None, draws: Named, change: Callable[[PhasorSetup], PhasorSetup] = lambda setup: setup
+) -> tuple[RecordingResults, ComplexArray, ComplexArray]:
+    """Return one recording as a campaign reads it, its true loads (K, 6) and the true matrix (K, 6, 6).
+
+    `change`: of the set-up before it is simulated.
+    """
     run = RUNS[place]
     driven = run.driven
     setup = uniaxial_setup(run, driven, {})
     if rotation is not None:
         setup = replace(setup, pairs=(stereo_pair(setup, rotation),))
     matrix = uniaxial_truth(run, np.random.default_rng([18, draws.seed]))
-    inputs, truth = simulate_phasors(replace(setup, sensitivity=matrix), draws)
+    inputs, truth = simulate_phasors(change(replace(setup, sensitivity=matrix)), draws)
     assert inputs.body is not None
     assert inputs.outputs is not None
     fused = fuse(inputs.observations)
     load = load_phasors(fused, inputs.body)
-    name, mounting = str(place), str(draws.mounting)
+    name, mounting = str(draws.recording), str(draws.mounting)
     driving = setup.direction, inputs.lines.nominal_hz, np.ones(len(inputs.lines.frequency_hz), np.int64)
     drives = excited_lines(name, mounting, *driving, load, inputs.outputs)[:1]
     known = None

@@ -210,7 +210,13 @@ def _viewer(browser: Any, laboratory: Laboratory) -> None:
     server.server_close()
 
 
-DRAWN = {"certificate": _certificate, "viewer": _viewer, "light": _light, "live": _live}
+def _next(browser: Any, laboratory: Laboratory) -> None:
+    """Write the figure of the next recordings of the matrix campaign."""
+    results = laboratory.page(GALLERY["matrix"]).parent
+    main(["plan", "--next", str(results), "--force", "--figure", str(IMAGES / "next.png"), "-q"])
+
+
+DRAWN = {"next": _next, "certificate": _certificate, "viewer": _viewer, "light": _light, "live": _live}
 
 
 if __name__ == "__main__":

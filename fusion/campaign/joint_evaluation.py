@@ -149,14 +149,7 @@ def _joined(
     keep: Callable[[ExcitedLine], ExcitedLine],
 ) -> tuple[tuple[RecordingResults, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
     """Return recordings with unique names and corrected loads, the sensor, the unknowns, and notices."""
-    count = Counter(entry.name for entry in recorded)
-    named = []
-    for entry in recorded:
-        unique = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
-        drives = tuple(replace(drive, recording=unique) for drive in entry.excited_lines)
-        named.append(replace(entry, name=unique, excited_lines=drives))
-    started = iter(with_starts(drive for entry in named for drive in entry.excited_lines))
-    named = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in named]
+    named = with_unique_names(recorded)
     sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in named if entry.sensor is not None}
     sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
     notices = []
@@ -167,6 +160,18 @@ def _joined(
         notices.append(Notice(FAILED_RECORDINGS, "campaign", count=len(failed), names=", ".join(failed)))
     corrected, unknowns, estimate_notices = apply_joint_estimate(name, named, keep)
     return corrected, sensor, unknowns, [*notices, *estimate_notices]
+
+
+def with_unique_names(recorded: Sequence[RecordingResults]) -> list[RecordingResults]:
+    """Return recordings with names that occur once, and the starts that they share."""
+    count = Counter(entry.name for entry in recorded)
+    named = []
+    for entry in recorded:
+        unique = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=unique) for drive in entry.excited_lines)
+        named.append(replace(entry, name=unique, excited_lines=drives))
+    started = iter(with_starts(drive for entry in named for drive in entry.excited_lines))
+    return [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in named]
 
 
 def _attempt(result: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:

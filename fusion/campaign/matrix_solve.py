@@ -267,6 +267,18 @@ def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
     return total
 
 
+def reading_model(stack: Stack, matrix: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return effects of unknowns, design and noise of all readings at a matrix.
+
+    `matrix` (C, 6) in the units of the stack. (R, 2C, A) for the slots of `Stack.acting`, (R, 2C, 12C) for [Re, Im] of
+    the matrix, (R, 2C, 2C). The measured loads are the point of linearisation.
+    """
+    point = LinearisationPoint(matrix, stack.load, np.zeros(len(stack.unknowns)))
+    linear = _linearise(stack, point, np.arange(len(stack.load)))
+    largest = np.max(np.abs(stack.output[stack.usable]))
+    return linear.effects, linear.design, linear.noise + (DIGITS * largest) ** 2 * np.eye(linear.noise.shape[1])
+
+
 def _start(stack: Stack) -> LinearisationPoint:
     """Return the matrix by least squares with exact loads as the first point."""
     rows = [

@@ -279,6 +279,25 @@ class JointCorrection:
         )
 
 
+def as_stated(entry: RecordingResults) -> RecordingResults:
+    """Return a recording whose loads err by its shared unknowns as stated.
+
+    The effects are those at given readings, as if these said nothing about the unknowns; what they say is
+    `Knowledge.information`, independent of the remaining noise of the loads.
+    """
+    if entry.knowledge is None:
+        return entry
+    knowledge = entry.knowledge()
+    about = tuple(knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist())
+    count = len(about)
+    none, zero, source = np.zeros((count, count)), np.zeros(count), _Source(entry.name, entry.mounting, entry.knowledge)
+    member = _Member(source, np.arange(count))
+    joint = JointEstimate("", (source,), True, about, zero, np.eye(count), none, np.zeros(count, np.int64))
+    mounted = _Mounted((member,), (), none, zero, count)
+    carry = JointCorrection(joint, mounted, member, knowledge.estimate[knowledge.shared], none[:, :0])
+    return replace(entry, excited_lines=tuple(map(carry.of, entry.excited_lines)))
+
+
 def _root(matrix: FloatArray) -> FloatArray:
     """Return a symmetric root of a covariance."""
     values, vectors = np.linalg.eigh(matrix)

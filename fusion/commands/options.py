@@ -230,6 +230,22 @@ def band(text: str) -> tuple[float, float]:
     return limits
 
 
+def elements(text: str) -> tuple[tuple[str, str], ...]:
+    """Return the outputs and loads of a text such as Fz/Fz,My/Fx."""
+    pairs = [part.strip().partition("/") for part in text.split(",")]
+    if not all(channel and load for channel, _, load in pairs):
+        raise argparse.ArgumentTypeError(f"expected elements such as Fz/Fz,My/Fx, found {ascii(text)[:60]}")
+    return tuple((channel, load) for channel, _, load in pairs)
+
+
+def three_minutes(text: str) -> tuple[float, ...]:
+    """Return the three durations of a text such as 20,15,30."""
+    found = tuple(positive(part) for part in text.split(","))
+    if len(found) != 3:
+        raise argparse.ArgumentTypeError(f"expected three numbers such as 20,15,30, found {ascii(text)[:60]}")
+    return found
+
+
 def figure(text: str) -> Path:
     """Return the path of a figure in a supported format."""
     file = path(text)

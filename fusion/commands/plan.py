@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,12 +13,14 @@ from fusion.commands.options import (
     Parser,
     band,
     command,
+    elements,
     exponent,
     frequencies,
     hertz,
     not_negative,
     path,
     positive,
+    three_minutes,
     whole,
 )
 from fusion.errors import CONFLICTING_OPTIONS, InputError
@@ -28,9 +30,12 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 1_000_000
 MOST_LINES = 200  # of a multisine
+OF_NEXT = ("elements", "hours", "minutes")
 OF_FREQUENCIES = ("together", "amplitude", "acceleration", "figure", "min_rate")
 OF_LINES = ("band", "linear", "peak", "slope")
-"""Options that need --frequencies, and those that need --lines."""
+"""Options that need --next, --frequencies, and --lines."""
+OF_CAMERA = ("frames", "max_rate", "rate", "noise", "setup", *OF_LINES, *(n for n in OF_FREQUENCIES if n != "figure"))
+"""Options that --next does not use."""
 
 
 def _plan_options(parser: Parser) -> None:
@@ -42,6 +47,12 @@ def _plan_options(parser: Parser) -> None:
     excited.add_argument("--frequencies", type=frequencies, metavar="LIST", help=text)
     text = "choose this number of frequencies, for one recording of all of them (a multisine)"
     excited.add_argument("--lines", type=whole(2, MOST_LINES), metavar="N", help=text)
+    text = "propose the recordings that lower U of matrix elements most (docs/next-recordings.md)"
+    excited.add_argument("--next", type=path, metavar="RESULTS", help=text)
+    parser.value("--elements", elements, "LIST", "of --next, as Fz/Fz,My/Fx (output/load; default: the main ones)")
+    parser.value("--hours", positive, "H", "available for --next (default: 4)")
+    text = "minutes of a new mounting, of more points, of an exchange, for --next (default: 20,15,30)"
+    parser.value("--minutes", three_minutes, "M,P,E", text)
     parser.value("--band", band, "LOW:HIGH", "of the frequencies of --lines, Hz, in equal ratios")
     parser.switch("--linear", "frequencies of --lines in equal steps instead")
     parser.value("--peak", positive, "M/S2", "peak acceleration of the multisine (default: 1)")
@@ -76,6 +87,10 @@ def plan(options: argparse.Namespace) -> None:
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
     from shaker.lines.rate_planner import Sampling
 
+    if options.next is not None:
+        _plan_next(options)
+        return
+    _refuse(options, OF_NEXT, "--frequencies or --lines", "--next with it")
     if options.setup is not None:
         from fusion.planning.camera_setup import print_setup, read_setup
 
@@ -93,10 +108,7 @@ def plan(options: argparse.Namespace) -> None:
     if options.rate is not None and options.min_rate is not None:
         raise InputError(CONFLICTING_OPTIONS, "--min-rate", found="--rate", expected="--max-rate with it")
     found, expected = ("--frequencies", "--lines") if options.lines is None else ("--lines", "--frequencies")
-    for name in OF_LINES if options.lines is None else OF_FREQUENCIES:
-        if getattr(options, name):
-            key = f"--{name.replace('_', '-')}"
-            raise InputError(CONFLICTING_OPTIONS, key, found=found, expected=f"{expected} with it")
+    _refuse(options, OF_LINES if options.lines is None else OF_FREQUENCIES, found, f"{expected} with it")
     sampling = Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance)
     if options.lines is not None:
         _plan_multisine(options, sampling)
@@ -119,6 +131,27 @@ def plan(options: argparse.Namespace) -> None:
 
         write_figure(options.figure, partial(draw_plan, made))
     show_table(options, "plan", plan_csv(made), partial(print_plan, made))
+
+
+def _refuse(options: argparse.Namespace, names: Sequence[str], found: str, expected: str) -> None:
+    """Refuse options that the chosen plan would ignore."""
+    for name in names:
+        if getattr(options, name):
+            raise InputError(CONFLICTING_OPTIONS, f"--{name.replace('_', '-')}", found=found, expected=expected)
+
+
+def _plan_next(options: argparse.Namespace) -> None:
+    """Propose the next recordings of a campaign."""
+    from fusion.planning.next_recordings import Minutes
+    from fusion.planning.next_report import draw_next, next_csv, plan_next, print_next
+
+    _refuse(options, OF_CAMERA, "--next", "--frequencies or --lines with it")
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
+    made = plan_next(options.next, options.elements, options.hours or 4.0, Minutes(*(options.minutes or ())))
+    if options.figure:
+        write_figure(options.figure, partial(draw_next, made))
+    show_table(options, "plan", next_csv(made), partial(print_next, made))
 
 
 def _plan_multisine(options: argparse.Namespace, sampling: Sampling) -> None:

@@ -49,6 +49,28 @@ NOISE_UNSTATED = DeclaredNotice(
     remedy="State it by `--noise`, for example `--noise 2.3e-6` (m).",
     link="planning.md#what-the-figures-are-worth",
 )
+NEXT_WITHOUT_MATRIX = DeclaredNotice(
+    "SC-969",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Only a matrix shows which recordings determine an element.",
+    remedy="Name the results folder of a campaign that excites six independent loads.",
+    link="next-recordings.md",
+)
+NEXT_ELEMENT = DeclaredNotice(
+    "SC-970",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name elements as output/load, for example `--elements Fz/Fz,My/Fx`.",
+    link="next-recordings.md",
+)
+NEXT_HOURS = DeclaredNotice(
+    "SC-977",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="State more `--hours`, or the times of your laboratory by `--minutes`.",
+    link="next-recordings.md#times",
+)
 NO_SIGNAL = DeclaredNotice(
     "SC-806",
     "error",
