@@ -92,10 +92,12 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
     Order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
 
-    Noise of the reference also makes gradients, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
-    the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they keep their start. N adds
-    to H but not to the slope, so the inverse along v is 1/(μ−1), which makes steps of the correct length (with 1/μ
-    every step is too short by 1/μ of itself). The variance is μ/(μ−1)².
+    Noise of the reference also makes gradients, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset.
+    Along conjugate directions v, H v = μ N v, first of translation and then of deformation. Those with μ < 4 are noise,
+    not texture (along an edge): they keep their start. A subset with no direction of translation is `FLAT`. With one,
+    the variance of the other is that of 25 px. N adds to H but not to the slope, so the inverse along v is 1/(μ−1),
+    which makes steps of the correct length (with 1/μ every step is too short by 1/μ of itself). The variance is
+    μ/(μ−1)².
 
     A direction that order 2 keeps at its start would be curvature that the field may have, and an error of the
     position. A subset with such a direction is therefore `UNRESOLVED`, and directions with μ near 4 are solved for.
