@@ -229,18 +229,18 @@ def _invert(
 
 
 def _shift_first(scaled: FloatArray, shift: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return information (n, m) and directions (n, m, m) in columns: two of translation, then those of deformation.
+    """Return information (n, m) and conjugate directions (n, m, m), translation first.
 
-    All have unit length and are conjugate. Eigenvectors of the whole Hessian mix translation and deformation, so that
-    an undetermined one, which keeps its start, would hold back a part of the motion.
+    Columns of unit length: two of translation, then those of deformation. Eigenvectors of the whole Hessian mix both,
+    so that an undetermined one, which keeps its start, would hold back a part of the motion.
     """
     other = np.setdiff1d(np.arange(scaled.shape[1]), shift)
     vectors = np.zeros_like(scaled)
-    of_shift, turned = np.linalg.eigh(scaled[:, shift[:, None], shift])
-    vectors[:, shift, :2] = turned
+    of_shift, axes = np.linalg.eigh(scaled[:, shift[:, None], shift])
+    vectors[:, shift, :2] = axes
     weights = np.where(of_shift > MIN_RATIO, 1.0 / np.maximum(of_shift, MIN_RATIO), 0.0)
     mixed = scaled[:, shift[:, None], other]
-    carried = (turned * weights[:, None, :]) @ np.swapaxes(turned, 1, 2) @ mixed
+    carried = (axes * weights[:, None, :]) @ np.swapaxes(axes, 1, 2) @ mixed
     of_rest, rest = np.linalg.eigh(scaled[:, other[:, None], other] - np.swapaxes(mixed, 1, 2) @ carried)
     moved = -carried @ rest
     length2 = 1.0 + np.sum(moved**2, axis=1)

@@ -322,7 +322,7 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         return np.asarray(self.status == TrackStatus.OK)
 
     def notices(self, where: str) -> tuple[Notice, ...]:
-        """Return a notice of `where` that counts the subsets that are not used in both directions, by reason."""
+        """Return a notice of `where` that counts unused subsets and edges by reason."""
         edges = self.usable & np.any(self.predicted_sigma_px > UNDETERMINED_PX, axis=1)
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
         parts = [f"{count} {reason}" for count, reason in [*lost, (int(np.sum(edges)), ONE_DIRECTION)] if count > 0]
