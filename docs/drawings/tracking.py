@@ -1,8 +1,10 @@
-"""Drawings of speckle, subsets, interpolation and the fixed pattern: docs/tracking.md and docs/practice.md."""
+"""Drawings of speckle, subsets, interpolation and the fixed pattern: docs/tracking.md, docs/practice.md and others."""
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
 from typing import Any
 
 import cv2
@@ -348,6 +350,21 @@ def tracking_steps() -> Figure:
     return figure
 
 
+def poor_surfaces() -> Figure:
+    """Draw subsets of the surfaces of benchmarks/poor_surfaces.py, with their bounds along two directions."""
+    sys.path.append(str(ROOT / "benchmarks"))
+    module = importlib.import_module("poor_surfaces")
+    figure, axes = new_figure(3.6, 2, 3)
+    for axis, name in zip(axes.ravel(), module.SURFACES, strict=True):
+        series = module.record(name, "none", 0.0, 1)
+        subset = series.frames[0][module.INNER, module.INNER]
+        _show(axis, 0.5 + (subset - subset.mean()) / (6.0 * subset.std()), name)
+        along, across = 1e3 * series.bound_px
+        weak = f"{across:.0f} mpx across" if across < 1e5 else "undetermined across"
+        axis.set_xlabel(f"{along:.0f} mpx along the slopes,\n{weak}", fontsize=8)
+    return figure
+
+
 DRAWINGS = (
     speckle_quality,
     speckle_autocorrelation,
@@ -358,4 +375,5 @@ DRAWINGS = (
     repeated_print,
     epipolar_sensitivity,
     tracking_steps,
+    poor_surfaces,
 )

@@ -108,9 +108,10 @@ COLUMNS_ALTERNATE = DeclaredNotice(
 UNUSED_SUBSETS = DeclaredNotice(
     "SC-210",
     "note",
-    "{unused} of {subsets} subsets are not used: {reasons}.",
+    "{unused} of {subsets} subsets are not used, or only across their edges: {reasons}.",
     effect="The remaining subsets determine the motion.",
-    link="tracking.md",
+    remedy="If most are missing, spray a speckle pattern, or use more light.",
+    link="poor-surfaces.md",
 )
 UNRESOLVED_TEXTURE = DeclaredNotice(
     "SC-211",

@@ -16,7 +16,7 @@ SMALLEST_NOISE = 1e-9  # of the variance of the grey values, for images without 
 SMALLEST_CONTRAST = 1e-6  # of the mean: ten times the rounding of float32
 MIN_RATIO = 4.0  # of a determined direction's information to that of noise, which shortens a step by a quarter
 CURVED_MARGIN = 1.2  # times the largest ratio by noise alone
-SMALLEST_EXCESS = 1e-2  # of a ratio over 1, so that variances remain finite
+UNDETERMINED = 1e-3  # relative to the reference's noise: information about an undetermined shift, about 25 px
 PARAMETERS = {0: 2, 1: 6, 2: 12}  # by the order of the shape function
 CHUNK = 64  # subsets whose pixels fit into the processor's cache
 
@@ -92,10 +92,12 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
     Order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
 
-    Noise of the reference also makes gradients, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
-    the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they keep their start. N adds
-    to H but not to the slope, so the inverse along v is 1/(μ−1), which makes steps of the correct length (with 1/μ
-    every step is too short by 1/μ of itself). The variance is μ/(μ−1)².
+    Noise of the reference also makes gradients, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset.
+    Along conjugate directions v, H v = μ N v, first of translation and then of deformation. Those with μ < 4 are noise,
+    not texture (along an edge): they keep their start. A subset with no direction of translation is `FLAT`. With one,
+    the variance of the other is that of 25 px. N adds to H but not to the slope, so the inverse along v is 1/(μ−1),
+    which makes steps of the correct length (with 1/μ every step is too short by 1/μ of itself). The variance is
+    μ/(μ−1)².
 
     A direction that order 2 keeps at its start would be curvature that the field may have, and an error of the
     position. A subset with such a direction is therefore `UNRESOLVED`, and directions with μ near 4 are solved for.
@@ -198,23 +200,50 @@ def _invert(
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Return whether a subset is determined (n,), inverse Hessians (n, m, m), and position variances.
 
-    The variances (n, 2, 2) are those of the translation. Without `chance` one determined direction is enough. With
-    `chance`, c = √(m/P), all directions must be determined. The least determined directions are so partly by chance:
-    noise happens to add little to them, 1 − 2c instead of 1, and to cancel texture, by c·√(μ−1). The subtraction is
-    reduced by that.
+    The variances (n, 2, 2) are those of the translation. Without `chance` one determined direction of translation is
+    enough. With `chance`, c = √(m/P), all directions must be determined. The least determined directions are so partly
+    by chance: noise happens to add little to them, 1 − 2c instead of 1, and to cancel texture, by c·√(μ−1). The
+    subtraction is reduced by that.
     """
     extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
+    shift = np.array([0, min(3, len(extent))])
     scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
-    ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
-    directions = vectors * scale[:, :, None]
+    scaled = hessian * scale[:, :, None] * scale[:, None, :]
+    ratio, vectors = np.linalg.eigh(scaled) if chance else _shift_first(scaled, shift)
     limit = CURVED_MARGIN * (1.0 + chance) ** 2 if chance else MIN_RATIO
-    share = 1.0 - chance * (2.0 + np.sqrt(np.maximum(ratio - 1.0, 0.0)))
     clear = ratio > limit
-    weights = np.where(clear, 1.0 / (np.maximum(ratio, limit) - share), 0.0)
-    inverse = (directions * weights[:, None, :]) @ np.swapaxes(directions, 1, 2)
-    translation = directions[:, [0, min(3, len(extent))]]
-    spread = ratio / np.maximum(ratio - share, SMALLEST_EXCESS) ** 2
-    variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
-    determined = np.asarray(clear.all(axis=1) if chance else clear.any(axis=1), dtype=np.bool_)
+    lost = np.where(clear[:, None, :2], 0.0, vectors[:, shift, :2]) * scale[:, shift, None]  # directions of translation
+    vectors = np.where(clear[:, None, :], vectors, 0.0)
+    directions = vectors * scale[:, :, None]
+    by_chance = chance * (2.0 + np.sqrt(np.maximum(ratio - 1.0, 0.0)))
+    diagonal = np.where(clear, ratio + by_chance, 1.0)[:, None, :] * np.eye(len(extents))
+    weights = np.linalg.inv(diagonal - np.swapaxes(vectors, 1, 2) @ vectors)
+    inverse = directions @ weights @ np.swapaxes(directions, 1, 2)
+    steps = directions[:, shift] @ weights
+    variance = (steps * np.where(clear, ratio, 0.0)[:, None, :]) @ np.swapaxes(steps, 1, 2)
+    determined = clear.all(axis=1) if chance else clear[:, :2].any(axis=1)
+    if not chance:
+        variance += lost @ np.swapaxes(lost, 1, 2) / UNDETERMINED**2
     inverse[~determined], variance[~determined] = np.nan, np.nan
-    return determined, inverse, variance
+    return np.asarray(determined, dtype=np.bool_), inverse, variance
+
+
+def _shift_first(scaled: FloatArray, shift: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return information (n, m) and conjugate directions (n, m, m), translation first.
+
+    Columns of unit length: two of translation, then those of deformation. Eigenvectors of the whole Hessian mix both,
+    so that an undetermined one, which keeps its start, would hold back a part of the motion.
+    """
+    other = np.setdiff1d(np.arange(scaled.shape[1]), shift)
+    vectors = np.zeros_like(scaled)
+    of_shift, axes = np.linalg.eigh(scaled[:, shift[:, None], shift])
+    vectors[:, shift, :2] = axes
+    weights = np.where(of_shift > MIN_RATIO, 1.0 / np.maximum(of_shift, MIN_RATIO), 0.0)
+    mixed = scaled[:, shift[:, None], other]
+    carried = (axes * weights[:, None, :]) @ np.swapaxes(axes, 1, 2) @ mixed
+    of_rest, rest = np.linalg.eigh(scaled[:, other[:, None], other] - np.swapaxes(mixed, 1, 2) @ carried)
+    moved = -carried @ rest
+    length2 = 1.0 + np.sum(moved**2, axis=1)
+    vectors[:, other, 2:], vectors[:, shift, 2:] = rest, moved
+    vectors[:, :, 2:] /= np.sqrt(length2)[:, None, :]
+    return np.concatenate([of_shift, of_rest / length2], axis=1), vectors

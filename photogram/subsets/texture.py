@@ -290,6 +290,8 @@ NOISE_CORNER_CYCLES = 0.4  # cycles per pixel in x and y, beyond which the spect
 EDGE_POWER_EXPONENT = 2.0  # of the frequency in the power spectrum of sharp rims
 PERIODOGRAM_REL_STD = 0.2  # relative standard deviation of a periodogram's bins, for weights
 BLUR_DECAYS = np.concatenate([[0.0], np.geomspace(0.5, 400.0, 120)])  # trial values of c in exp(−cν²)
+UNDETERMINED_PX = 1.0  # standard deviation of a position along an edge, far above that of any usable texture
+ONE_DIRECTION = "with texture in one direction only, as edges have"
 REASONS = {
     TrackStatus.FLAT: "without texture",
     TrackStatus.SATURATED: "saturated",
@@ -320,12 +322,13 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         return np.asarray(self.status == TrackStatus.OK)
 
     def notices(self, where: str) -> tuple[Notice, ...]:
-        """Return a notice of `where` that counts the unusable subsets by reason."""
+        """Return a notice of `where` that counts unused subsets and edges by reason."""
+        edges = self.usable & np.any(self.predicted_sigma_px > UNDETERMINED_PX, axis=1)
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
-        parts = [f"{count} {reason}" for count, reason in lost if count > 0]
+        parts = [f"{count} {reason}" for count, reason in [*lost, (int(np.sum(edges)), ONE_DIRECTION)] if count > 0]
         if not parts:
             return ()
-        unused, reasons = int(np.sum(~self.usable)), ", ".join(parts)
+        unused, reasons = int(np.sum(~self.usable | edges)), ", ".join(parts)
         return (Notice(UNUSED_SUBSETS, where, unused=unused, subsets=len(self.status), reasons=reasons),)
 
 

@@ -348,7 +348,7 @@ def test_in_frames_without_subsets_the_motion_is_as_good_as_with_them(large, mon
     assert some.subset_frames[TOUCHED]  # subsets are looked for where nothing foretells the body
     assert some.subset_frames.sum() <= 12
     u = np.sqrt(np.diagonal(every.motion.covariance, axis1=1, axis2=2))
-    assert np.max(np.abs(some.motion.pose - every.motion.pose) / u) < 0.2
+    assert np.max(np.abs(some.motion.pose - every.motion.pose) / u) < 0.3
     off = np.abs(some.motion.pose - poses)
     assert np.max(off[1:TOUCHED] / u[1:TOUCHED]) < 4.5 * np.sqrt(2.0)
     assert np.max(off[TOUCHED:, :3]) < 5e-4 * 2e-3  # of the way that the touch took it

@@ -11,6 +11,7 @@ from contracts import NEEDS_GPU, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.ndimage import gaussian_filter
 from speckle import spline_frames
 
@@ -139,6 +140,19 @@ def test_an_edge_is_tracked_across_and_undetermined_along(texture):
     assert abs(found.warp[0, 0]) < 1e-3
     covariance = position_covariance(reference, found, noise_of_residual(reference, found, 5))[0]
     assert covariance[0, 0] > 100 * covariance[1, 1]
+
+
+@pytest.mark.parametrize("noise", [50.0, 70.0])
+def test_undetermined_deformation_holds_back_no_part_of_the_motion(texture, image, noise):
+    """Noise near the texture's slopes: errors of both images' noise only, twice the variance stated for one."""
+    rng, shift = np.random.default_rng(16), np.array([0.8, -0.6])
+    moved = grey(texture.image(SIZE, lambda p: p - shift))
+    reference, found = find(image + rng.normal(0, noise, image.shape), moved + rng.normal(0, noise, image.shape))
+    assert np.mean(found.status == TrackStatus.OK) > 0.7
+    covariance = position_covariance(reference, found, np.full(len(CENTRES), noise))
+    error = (found.warp[:, [0, 3]] - shift)[found.status == TrackStatus.OK]
+    chi2 = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance[found.status == TrackStatus.OK]), error)
+    assert np.sum(chi2) < 2.0 * stats.chi2.ppf(0.999, 2 * len(chi2))
 
 
 def test_every_failure_has_its_status(image):

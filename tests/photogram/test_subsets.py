@@ -23,6 +23,7 @@ from photogram.subsets.search import (
     warp_of_affine,
 )
 from photogram.subsets.texture import (
+    ONE_DIRECTION,
     REASONS,
     aliasing_bias,
     aliasing_notice,
@@ -158,15 +159,18 @@ def test_unusable_subsets_are_distinguished_and_counted():
     image = SENSOR.digitise(images(5.0, 1.2, np.zeros(1))[0], np.random.default_rng(3))
     image[20:60, 20:60] = 4095
     image[100:150, 100:150] = np.random.default_rng(4).normal(1000, 12, (50, 50)).astype(np.uint16)
-    centres = np.array([[90.0, 40.0], [40.0, 40.0], [125.0, 125.0], [4.0, 90.0], [np.nan, np.nan]])
+    image[80:130, 20:70] = 1000 + 2000 * (np.arange(50) > 25) + np.random.default_rng(5).normal(0, 12, (50, 50))
+    centres = np.array([[90.0, 40.0], [40.0, 40.0], [125.0, 125.0], [4.0, 90.0], [np.nan, np.nan], [45.0, 105.0]])
     quality = assess_subsets(prepare_reference(spline_of_image(image), centres, 10), image, NOISE, 4095)
     expected = [TrackStatus.OK, TrackStatus.SATURATED, TrackStatus.FLAT, TrackStatus.LEFT_IMAGE, TrackStatus.NO_START]
+    expected.append(TrackStatus.OK)  # an edge, across which it is tracked
     assert quality.status.tolist() == expected
     assert np.isfinite(quality.predicted_sigma_px).all(axis=1).tolist() == quality.usable.tolist()
     (notice,) = quality.notices("left camera")
     assert notice.code == UNUSED_SUBSETS.code
-    assert (notice.values["unused"], notice.values["subsets"]) == (4, 5)
-    assert notice.values["reasons"] == ", ".join(f"1 {REASONS[status]}" for status in REASONS if status in expected)
+    assert (notice.values["unused"], notice.values["subsets"]) == (5, 6)
+    reasons = [REASONS[status] for status in REASONS if status in expected]
+    assert notice.values["reasons"] == ", ".join(f"1 {reason}" for reason in [*reasons, ONE_DIRECTION])
 
 
 @pytest.mark.parametrize(("dot_px", "blur_px"), [(5.0, 0.6), (5.0, 0.4), (5.0, 0.0), (4.0, 0.8), (2.8, 0.0)])
