@@ -206,9 +206,8 @@ def run_path(
     >>> outcomes = run_path("sample_images/demo", "results", Settings())  # doctest: +SKIP
     """
     stored = path if isinstance(path, StoredCampaign) else None
-    if isinstance(path, StoredCampaign):
-        path, output = path.path, path.output
-    path = Path(path)
+    output = output if stored is None else stored.output
+    path = path.path if isinstance(path, StoredCampaign) else Path(path)
     recordings = find_recordings(path)
     alone = not is_campaign(path)
     if not alone:

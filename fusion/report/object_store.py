@@ -87,6 +87,10 @@ class ObjectStore:
                 place.mkdir(parents=True, exist_ok=True)
             self._fs.get([self._path(name) for name in names], [str(place) for place in places])
 
+    def local(self, name: str) -> Path | None:
+        """Return the path of a file on this machine, None in other stores."""
+        return Path(self._path(name)) if "file" in self._fs.protocol else None
+
     def read(self, names: Iterable[str]) -> dict[str, bytes]:
         """Return the contents of small files; missing ones are left out."""
         by_path = {self._path(name): name for name in names}

@@ -368,6 +368,8 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: P
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)
         file.attrs["mounting"] = manifest.mounting
+        if manifest.rig.administration is not None and manifest.rig.administration.laboratory is not None:
+            file.attrs["laboratory"] = manifest.rig.administration.laboratory
         if manifest.simulated:
             file.attrs["simulated"] = True
         if manifest.date is not None:
