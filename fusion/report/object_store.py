@@ -38,7 +38,7 @@ class ObjectStore:
     def __init__(self, address: str) -> None:
         self._whole = address.rstrip("/") if is_address(address) else address
         self.address = CREDENTIALS.sub("", self._whole)
-        with archive_packages(), self._errors():
+        with self._errors(), archive_packages():
             import fsspec
 
             self._fs, root = fsspec.core.url_to_fs(self._whole)

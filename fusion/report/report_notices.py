@@ -77,7 +77,7 @@ STORE_REFUSED = DeclaredNotice(
 WRONG_CONDITION = DeclaredNotice(
     "SC-960",
     "error",
-    "expected a condition on the columns of the database that selects rows, {reason}",
+    "expected a database of `shakercal collect` and a condition on its columns, {reason}",
     effect="The command did not start.",
     remedy="Correct the condition. `docs/archive.md` lists the columns.",
     link="archive.md#columns",
