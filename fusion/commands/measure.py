@@ -394,7 +394,7 @@ def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
     target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write")
+    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write: .uff, or .zarr")
     text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
     target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
     parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
@@ -404,7 +404,7 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results as a universal file, inputs as CSV, or fields as images.
+    """Export results as a universal file or Zarr store, inputs as CSV, or fields as images.
 
     Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
     """
@@ -421,6 +421,12 @@ def export(options: argparse.Namespace) -> None:
 
         count = export_inputs(options.results, options.output, force=options.force)
         print(f"table written: {options.output} ({count} rows)")
+        return
+    if options.output.suffix == ".zarr":
+        from fusion.report.zarr_export import export_zarr
+
+        groups = export_zarr(options.results, options.output, force=options.force)
+        print(f"Zarr store written: {options.output} ({', '.join(groups)})")
         return
     from fusion.report.universal_export import export_universal
 

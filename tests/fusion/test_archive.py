@@ -1,4 +1,4 @@
-"""Campaigns in object storage, and databases of results: stores of fsspec, broken transfers, queries by plain Python."""
+"""Campaigns in object storage, databases and Zarr stores of results: broken transfers, queries by plain Python."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from support import edit, folder_contents, rows
 
 from fusion.base import Settings
 from fusion.campaign.run import run_path
-from fusion.campaign.stored_campaign import SOURCE_FILE, fetched_campaign
+from fusion.campaign.stored_campaign import SOURCE_FILE
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
 from fusion.errors import InputError
@@ -358,8 +358,8 @@ def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
     queries = {str(year): f"{database}?channel = 'Fz' and year(date) = {year}" for year in (2024, 2026)}
     for result, year in zip(read_compared(queries), (2024, 2026), strict=True):
         (value,) = (value for value in result.values if value.component == "Fz")
-        used = [row for row in query_results(database, "channel = 'Fz' and component = 'Fz' and kind = 'ratio'")]
-        used = [row for row in used if row["date"].year == year]
+        every = query_results(database, "channel = 'Fz' and component = 'Fz' and kind = 'ratio'")
+        used = [row for row in every if row["date"].year == year]
         magnitudes = [row["magnitude"] for row in used]
         assert len(used) == result.repeats == 2
         assert value.magnitude == pytest.approx(statistics.mean(magnitudes))
@@ -372,3 +372,25 @@ def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
     with (tmp_path / "comparison" / "comparison.csv").open(encoding="utf-8") as file:
         assert {row["channel"] for row in csv.DictReader(file)} == {"Fz"}
     assert WRONG_CONDITION.code in refused("compare", f"a={database}?serial = 'none'", arguments[0])
+
+
+def test_xarray_opens_a_zarr_store_with_the_numbers_of_the_results(archive, tmp_path):
+    zarr, xarray = pytest.importorskip("zarr"), pytest.importorskip("xarray")
+    store, folder = tmp_path / "result.zarr", archive / "Jahr 2024" / "Größe 0"
+    assert main(["export", str(folder), "-o", str(store)]) == EXIT_DONE
+    before = folder_contents(store)
+    assert main(["export", str(folder), "-o", str(store)]) == EXIT_INPUT
+    assert main(["export", str(folder), "-o", str(store), "--force"]) == EXIT_DONE
+    assert folder_contents(store) == before
+    with h5py.File(folder / "result.h5") as file:
+        part, load = file["sensitivity"], file["load/value"][()]
+        value, covariance = part["value"][()], part["uncertainty/covariance"][()]
+        elements = part["elements"][()].tolist()
+    with xarray.open_zarr(store, group="sensitivity", consolidated=False) as opened:
+        np.testing.assert_array_equal(opened["value"], np.stack([value[:, c, j] for c, j in elements], axis=1))
+        np.testing.assert_array_equal(opened["covariance"], covariance)
+        assert opened["unit"].values.tolist()[2] == "(V/V)/N"
+    with xarray.open_zarr(store, group="load", consolidated=False) as opened:
+        seen = np.isfinite(opened["value"].values)
+        np.testing.assert_array_equal(opened["value"].values[seen], load[seen])
+    assert zarr.open_group(store, mode="r").attrs["name"]
