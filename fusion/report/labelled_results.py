@@ -103,8 +103,8 @@ def _results(file: h5py.File, path: Path) -> Results:
     return Results(
         name=str(file.attrs.get("recording", file.attrs.get("campaign"))),
         path=path,
-        sensitivity=read_sensitivity(file["sensitivity"]) if "sensitivity" in file else None,
-        element=read_sensitivity(file["element"]) if "element" in file else None,
+        sensitivity=_sensitivity(file["sensitivity"]) if "sensitivity" in file else None,
+        element=_sensitivity(file["element"]) if "element" in file else None,
         acceleration={name: _motion(name, group) for name, group in [*file.get("accelerations", {}).items()]},
         load=_load(file["load"]) if "load" in file else None,
         curve=tuple(_curve(group) for group in _groups(curves)),
@@ -136,8 +136,7 @@ def _labelled(
     return LabelledPhasors(name, frequency, value, channel, component, unit, uncertainty, tuple(kind))
 
 
-def read_sensitivity(group: h5py.Group) -> LabelledPhasors:
-    """Return ratios or elements of a recording from their group."""
+def _sensitivity(group: h5py.Group) -> LabelledPhasors:
     channels, elements = _texts(group, "channels"), read_numbers(group["elements"], "iu").tolist()
     unit = str(group.attrs["unit"])
     labels = [(channels[c], LOAD_COMPONENTS[j], sensitivity_unit(unit, LOAD_COMPONENTS[j])) for c, j in elements]

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 from fusion.base import PROGRAM, ProgressCallback, no_progress
 from fusion.errors import OUTPUT_EXISTS, InputError, as_input_error
 from fusion.report.atomic_files import write_atomically
-from fusion.report.folder import RESULT_FILE, origin_key, provenance_of
+from fusion.report.folder import RESULT_FILE, SENSITIVITY_FILE, origin_key, provenance_of
 from fusion.report.h5 import open_results
-from fusion.report.labelled_results import read_sensitivity
 from fusion.report.object_store import STORE, ObjectStore, archive_packages
 from fusion.report.report_notices import NO_RESULTS, WRONG_CONDITION
+from fusion.report.table import read_rows
 
 if TYPE_CHECKING:
     import pyarrow
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 TEXTS = ("path", "recording", "mounting", "rig", "sensor", "serial", "laboratory", "program", "input_hash", "result")
 ELEMENT_TEXTS = ("channel", "component", "kind", "unit")
 NUMBERS = ("frequency_hz", "magnitude", "u_magnitude", "k_magnitude", "phase_rad", "u_phase_rad", "k_phase")
-PARTS = ("sensitivity", "element")
-READ = ("sensor", "provenance", *PARTS)
 ARCHIVE_KEY = b"shakercal.archive"
 """Key of the archive's address in the file."""
 ORDER = ("serial", "channel", "component", "kind", "frequency_hz", "path")
@@ -193,12 +191,12 @@ def _read(store: ObjectStore, names: Sequence[str]) -> Iterator[list[dict[str, A
 
     def fetched(folder: str, name: str) -> Path | InputError:
         try:
-            local = store.local(name)
-            if local is None:
-                store.fetch([name], Path(folder))
+            if (local := store.local(name)) is not None:
+                return local
+            store.fetch([name, _table_of(name)], Path(folder))
         except InputError as error:
             return error
-        return local or Path(folder, name)
+        return Path(folder, name)
 
     for start in range(0, len(names), BATCH):
         some = names[start : start + BATCH]
@@ -210,24 +208,37 @@ def _read(store: ObjectStore, names: Sequence[str]) -> Iterator[list[dict[str, A
                     yield error.in_file(Path(name))
 
 
+def _table_of(name: str) -> str:
+    return f"{name.removesuffix(RESULT_FILE)}{SENSITIVITY_FILE}"
+
+
 def _rows(file: Path, name: str) -> list[dict[str, Any]]:
-    """Return one row for each frequency, output and component of a result."""
-    with open_results(file, *READ) as results:
+    """Return one row for each frequency, output and component of a result: facts of its HDF5 file, values of its table.
+
+    The covariances of the HDF5 file cost five times as much.
+    """
+    with open_results(file, "sensor", "provenance") as results:
         origin, attrs = provenance_of(results), results.attrs
         sensor = results["sensor"].attrs if "sensor" in results else {}
         digests = {str(number): digest for number, digest in enumerate(sorted(origin.input_hashes.values()))}
-        day = attrs.get("date", "")
+        day, program = attrs.get("date", ""), origin.versions.get(PROGRAM, "")
         facts = {
             "path": name,
             **{name: str(attrs.get(name, "")) for name in ("recording", "mounting", "rig", "laboratory")},
             "sensor": str(sensor.get("name", "")),
             "serial": str(sensor.get("serial", "")),
-            "program": origin.versions.get(PROGRAM, ""),
+            "program": program,
             "input_hash": hashlib.sha256("".join(digests.values()).encode()).hexdigest()[:32],
-            "result": origin_key(digests, origin.settings, {PROGRAM: origin.versions.get(PROGRAM, "")}),
+            "result": origin_key(digests, origin.settings, {PROGRAM: program}),
             "date": Date.fromisoformat(day) if day else None,
             "simulated": bool(attrs.get("simulated", False)),
         }
-        parts = [read_sensitivity(results[part]) for part in PARTS if part in results]
-    wanted = (*ELEMENT_TEXTS, *NUMBERS)
-    return [facts | {name: row[name] for name in wanted} for part in parts for row in part.rows()]
+    table = file.with_name(SENSITIVITY_FILE)
+    with as_input_error(table):
+        values = read_rows(table)
+        if values and (missing := {*ELEMENT_TEXTS, *NUMBERS} - values[0].keys()):
+            raise ValueError(f"expected the column {min(missing)}, found none")
+        return [
+            facts | {name: row[name] for name in ELEMENT_TEXTS} | {name: float(row[name]) for name in NUMBERS}
+            for row in values
+        ]

@@ -238,20 +238,23 @@ def test_missing_packages_are_named(monkeypatch, refused):
 # Databases of results.
 
 
-def _copy(original: Path, folder: Path, factor: complex = 1.0, **attrs: str) -> None:
-    """Copy a result with values times a factor, other attributes, and inputs of its own unless `same_input`."""
+def _copy(original: Path, folder: Path, factor: float = 1.0, **attrs: str) -> None:
+    """Copy a result with magnitudes times a factor, other attributes, and inputs of its own unless `same_input`."""
     folder.mkdir(parents=True)
     shutil.copy(original / "result.h5", folder)
     with h5py.File(folder / "result.h5", "r+") as file:
-        for part in ("sensitivity", "element"):
-            if part in file:
-                file[part]["value"][...] = file[part]["value"][()] * factor
         if attrs.pop("same_input", ""):
             file["provenance/versions"].attrs["shakercal"] = attrs.pop("program", "0.2.0")
         else:
             file["provenance/input_sha256"][0] = hashlib.sha256(str(folder).encode()).hexdigest()
         for name, value in attrs.items():
             file.attrs[name] = value
+        file["sensitivity/value"][...] = file["sensitivity/value"][()] * factor
+    table = rows(original / "sensitivity.csv")
+    with (folder / "sensitivity.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, table[0])
+        writer.writeheader()
+        writer.writerows(row | {"magnitude": repr(float(row["magnitude"]) * factor)} for row in table)
 
 
 @pytest.fixture
