@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import logging
+from functools import partial
 
+from fusion.base import check_new_file
 from fusion.commands.options import (
     EXIT_DONE,
     EXIT_INPUT,
@@ -24,6 +26,7 @@ from fusion.commands.options import (
     seed,
     whole,
 )
+from fusion.commands.plan import show_table, write_figure
 from fusion.errors import FREQUENCIES_NOT_ASCENDING, InputError
 from fusion.report.terminal import progress_bar
 
@@ -351,4 +354,24 @@ def collect(options: argparse.Namespace) -> int:
     return EXIT_INPUT if found.errors else EXIT_DONE
 
 
-COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, collect, compare)
+def _chart_options(parser: Parser) -> None:
+    text = "database of shakercal collect, and a condition on its columns"
+    parser.value("database", path, "DATABASE.parquet[?CONDITION]", text)
+    parser.figure_and_table("draw the charts", "write every day as a table")
+
+
+@command(_chart_options, "\"results.parquet?serial = '1234' and channel = component\" --figure chart.png")
+def chart(options: argparse.Namespace) -> int:
+    """Draw control charts of sensors over dates, with limits by moving ranges."""
+    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, print_charts
+
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
+    charts = charts_of(options.database)
+    if options.figure:
+        write_figure(options.figure, partial(draw_charts, charts))
+    show_table(options, "chart", charts_csv(charts), partial(print_charts, charts))
+    return EXIT_DONE
+
+
+COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, collect, compare, chart)

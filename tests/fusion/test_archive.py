@@ -12,6 +12,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from fusion.report.object_store import ObjectStore
 from fusion.report.report_notices import ARCHIVE_PACKAGES_MISSING, STORE_REFUSED, WRONG_CONDITION
 from fusion.report.result_database import collect_results, query_results
 from fusion.sensor.compare.comparison_inputs import read_compared
+from fusion.sensor.compare.control_chart import control_charts
 
 fsspec = pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
@@ -397,3 +399,58 @@ def test_xarray_opens_a_zarr_store_with_the_numbers_of_the_results(archive, tmp_
         seen = np.isfinite(opened["value"].values)
         np.testing.assert_array_equal(opened["value"].values[seen], load[seen])
     assert zarr.open_group(store, mode="r").attrs["name"]
+
+
+# Control charts.
+
+
+def _row(day: date, magnitude: float, frequency: float = 80.0, **more: Any) -> dict[str, Any]:
+    facts = {"serial": "1", "channel": "Fz", "component": "Fz", "kind": "element", "unit": "(V/V)/N"}
+    numbers = {
+        "frequency_hz": frequency,
+        "magnitude": magnitude,
+        "u_magnitude": 0.5,
+        "phase_rad": 3.1,
+        "u_phase_rad": 0.1,
+    }
+    return facts | numbers | {"date": day} | more
+
+
+def test_limits_are_those_of_the_moving_range():
+    days = [date(2024, 1, 1) + timedelta(days=30 * number) for number in range(5)]
+    found = [_row(day, value) for day, value in zip(days, (10.0, 12.0, 11.0, 13.0, 10.0), strict=True)]
+    found += [_row(days[0], 10.0, phase_rad=3.1 - 2.0 * math.pi), _row(days[1], 9.0, kind="harmonic")]
+    found += [_row(days[0], 7.0, 80.1), _row(days[1], 7.0, 80.1)]
+    magnitude, phase = control_charts(reversed(found))
+    assert magnitude.days == tuple(days)
+    assert magnitude.centre == pytest.approx(11.2)
+    assert 3.0 * magnitude.sigma == pytest.approx(2.66 * statistics.mean([2.0, 1.0, 2.0, 3.0]), rel=1e-3)
+    assert not magnitude.outside.any()
+    assert phase.sigma == pytest.approx(0.0, abs=1e-12)
+
+
+def test_days_of_a_stable_sensor_are_rarely_beyond_the_limits_and_a_change_is():
+    rng = np.random.default_rng(1)
+    values = 100.0 + rng.standard_normal(4000)
+    values[2000] += 8.0
+    days = [date(2000, 1, 1) + timedelta(days=number) for number in range(len(values))]
+    chart = control_charts(_row(day, value) for day, value in zip(days, values.tolist(), strict=True))[0]
+    assert chart.sigma == pytest.approx(1.0, abs=0.06)
+    assert chart.outside[2000]
+    assert 1 <= np.count_nonzero(chart.outside) - 1 <= 24  # 10.8 expected, normal distribution
+
+
+def test_charts_are_drawn_from_a_database(archive, tmp_path, refused):
+    _copy(archive / "Jahr 2024" / "Größe 0", archive / "third", 1.01, date="2025-01-07")
+    database = tmp_path / "results.parquet"
+    collect_results(archive, database)
+    query = f"{database}?channel = 'Fz' and component = 'Fz'"
+    figure, table = tmp_path / "chart.svg", tmp_path / "chart.csv"
+    assert main(["chart", query, "--figure", str(figure), "--csv", str(table)]) == EXIT_DONE
+    assert figure.stat().st_size > 1000
+    found = [row for row in rows(table) if row["chart"].endswith("magnitude")]
+    assert [row["date"] for row in found] == ["2024-05-02", "2025-01-07", "2026-03-09"]
+    every = query_results(database, "channel = 'Fz' and component = 'Fz' and kind = 'ratio'")
+    used = [row for row in every if row["date"].year == 2024]
+    assert float(found[0]["value"]) == pytest.approx(statistics.mean(row["magnitude"] for row in used))
+    assert WRONG_CONDITION.code in refused("chart", f"{database}?year(date) = 2024")
