@@ -357,6 +357,8 @@ def collect(options: argparse.Namespace) -> int:
 def _chart_options(parser: Parser) -> None:
     text = "database of shakercal collect, and a condition on its columns"
     parser.value("database", path, "DATABASE.parquet[?CONDITION]", text)
+    text = "number of the first days that determine mean and limits (default: all)"
+    parser.value("--baseline", whole(3, 1000), "DAYS", text)
     parser.figure_and_table("draw the charts", "write every day as a table")
 
 
@@ -367,7 +369,7 @@ def chart(options: argparse.Namespace) -> int:
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
-    charts = charts_of(options.database)
+    charts = charts_of(options.database, options.baseline)
     if options.figure:
         write_figure(options.figure, partial(draw_charts, charts))
     show_table(options, "chart", charts_csv(charts), partial(print_charts, charts))

@@ -437,6 +437,10 @@ def test_days_of_a_stable_sensor_are_rarely_beyond_the_limits_and_a_change_is():
     chart = control_charts(_row(day, value) for day, value in zip(days, values.tolist(), strict=True))[0]
     assert chart.sigma == pytest.approx(1.0, abs=0.06)
     assert chart.outside[2000]
+    shifted = np.where(np.arange(len(values)) < 1000, values, values + 8.0)
+    rows_of = [_row(day, value) for day, value in zip(days, shifted.tolist(), strict=True)]
+    later = control_charts(rows_of, 1000)[0].outside[1000:]
+    assert later.mean() > 0.99
     assert 1 <= np.count_nonzero(chart.outside) - 1 <= 24  # 10.8 expected, normal distribution
 
 

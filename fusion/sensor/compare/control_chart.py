@@ -38,7 +38,7 @@ class ControlChart:
     subject : serial number, output per component, kind, frequency and quantity.
     days : the days of the recordings, ascending.
     value, u : (N,) mean of each day, and its mean stated standard uncertainty.
-    centre, sigma : mean of the days, and standard deviation from the moving ranges.
+    baseline : number of the first days from which mean and limits are.
     """
 
     subject: str
@@ -46,16 +46,17 @@ class ControlChart:
     days: tuple[Date, ...]
     value: FloatArray
     u: FloatArray
+    baseline: int
 
     @property
     def centre(self) -> float:
-        """Return the mean of all days."""
-        return float(np.mean(self.value))
+        """Return the mean of the days of the baseline."""
+        return float(np.mean(self.value[: self.baseline]))
 
     @property
     def sigma(self) -> float:
-        """Return the standard deviation of a day: the mean range of neighbouring days over d2."""
-        return float(np.mean(np.abs(np.diff(self.value))) / RANGE_OF_TWO)
+        """Return the standard deviation of a day: the mean range of neighbouring days of the baseline over d2."""
+        return float(np.mean(np.abs(np.diff(self.value[: self.baseline]))) / RANGE_OF_TWO)
 
     @property
     def outside(self) -> BoolArray:
@@ -63,11 +64,11 @@ class ControlChart:
         return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma)
 
 
-def control_charts(rows: Iterable[Mapping[str, Any]]) -> tuple[ControlChart, ...]:
+def control_charts(rows: Iterable[Mapping[str, Any]], baseline: int | None = None) -> tuple[ControlChart, ...]:
     """Return the charts of all elements and frequencies with at least three days.
 
     `rows` of `query_results`; results of one day are averaged, phases about the first one. Rows without a date and
-    harmonics are left out.
+    harmonics are left out. `baseline`: number of the first days that determine mean and limits, None for all.
     """
     groups: dict[tuple[str, ...], list[list[Mapping[str, Any]]]] = {}
     for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):
@@ -88,7 +89,9 @@ def control_charts(rows: Iterable[Mapping[str, Any]]) -> tuple[ControlChart, ...
                     if np.isfinite(value).all():
                         named = name.removesuffix("_rad")
                         unit_of = unit if name == named else "rad"
-                        charts.append(ControlChart(f"{what}, {named}", unit_of, tuple(days), value, u))
+                        charts.append(
+                            ControlChart(f"{what}, {named}", unit_of, tuple(days), value, u, baseline or len(days))
+                        )
     return tuple(charts)
 
 
@@ -104,10 +107,10 @@ def _daily(
     return np.array([values[chosen].mean() for chosen in of_day]), np.array([u[chosen].mean() for chosen in of_day])
 
 
-def charts_of(database: Path) -> tuple[ControlChart, ...]:
+def charts_of(database: Path, baseline: int | None = None) -> tuple[ControlChart, ...]:
     """Return the charts of `DATABASE.parquet?CONDITION`; `InputError` without a chart."""
     file, condition = split_query(database)
-    charts = control_charts(query_results(file, condition))
+    charts = control_charts(query_results(file, condition), baseline)
     if not charts:
         reason = f"found {condition!r}, which selects no element with results of {MIN_DAYS} days"
         raise InputError(WRONG_CONDITION, file, reason=reason)
@@ -143,7 +146,7 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
         mean_u = number_text(2.0 * float(np.mean(chart.u)), 2)
         rows.append([chart.subject, str(len(chart.days)), limits, chart.unit, mean_u, ", ".join(outside) or "none"])
     print_table("", head, "lrrlrl", [rows])
-    if min(len(chart.days) for chart in charts) < FEW_DAYS:
+    if min(min(len(chart.days), chart.baseline) for chart in charts) < FEW_DAYS:
         print_text(f"limits from fewer than {FEW_DAYS} days are provisional (ISO 7870-2)")
 
 
