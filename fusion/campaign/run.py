@@ -86,7 +86,7 @@ class Outcome:
         return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.place(REPORT_FILE)}"
 
     def place(self, name: str = "", *, above: bool = False) -> str:
-        """Return path or address of a result file, or of one of its campaign with `above`."""
+        """Return path or address of a result file; `above`: of its campaign."""
         if self.address:
             return f"{self.address.rpartition('/')[0] if above else self.address}/{name}".rstrip("/")
         return str((self.folder.parent if above else self.folder) / name)
@@ -103,7 +103,7 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
 
 
 def _run_stored(job: Job, stored: StoredRecording, progress: ProgressCallback, executor: Executor | None) -> Outcome:
-    """Fetch and evaluate a recording of an object store, unless its results are of the same stored files."""
+    """Fetch and evaluate a recording of an object store, unless its results are current."""
     if not job.force and stored.is_current(job.folder, job.settings):
         return Outcome(job.recording, job.folder, resumed=True)
     with stored.fetched():
@@ -214,15 +214,9 @@ def run_path(
         recordings = select_kinds(recordings, kinds_of("run"))
     top = (recordings[0].parent if alone else path) / "results" if output is None else Path(output)
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
+    of_store = {} if stored is None else stored.recordings
     jobs = [
-        Job(
-            recording,
-            folder,
-            settings,
-            force,
-            allow_outside,
-            stored=None if stored is None else stored.recordings[recording],
-        )
+        Job(recording, folder, settings, force, allow_outside, stored=of_store.get(recording))
         for recording, folder in zip(recordings, folders, strict=True)
     ]
     if not alone:
@@ -234,32 +228,38 @@ def run_path(
         with _executor(workers) as executor:
             if alone:
                 outcome = _with_notices(_run_one(jobs[0], executor, progress))
-                return (replace(outcome, address=stored.address_of(outcome.folder)) if stored else outcome,)
+                return (outcome if stored is None else _addressed(outcome, stored),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
                 outcomes = _run_local(jobs, executor, progress)
             else:
                 outcomes = _run_distributed(jobs, executor, progress)
-        finished = [outcome.folder for outcome in outcomes if outcome.error is None]
-        failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
-        if finished:
-            from fusion.campaign.joint_report import write_campaign  # a recording by itself needs no campaign's models
+        return _joined(top, path.resolve().name, outcomes, stored, progress)
 
-            progress(JOIN, 0, 1)
-            with one_blas_thread():
-                joint, written = write_campaign(top, path.resolve().name, finished, failed)
-                if stored is not None:
-                    stored.upload(written)
-            progress(JOIN, 1, 1)
-            notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
-            outcomes = tuple(
-                replace(
-                    outcome,
-                    notices=notices.get(outcome.folder.name),
-                    address=stored.address_of(outcome.folder) if stored else "",
-                )
-                for outcome in outcomes
-            )
-    return outcomes
+
+def _joined(
+    top: Path, name: str, outcomes: Sequence[Outcome], stored: StoredCampaign | None, progress: ProgressCallback
+) -> tuple[Outcome, ...]:
+    """Write the joint files of a campaign and return the outcomes with their notices."""
+    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+    if not finished:
+        return tuple(outcomes)
+    from fusion.campaign.joint_report import write_campaign  # a recording by itself needs no campaign's models
+
+    progress(JOIN, 0, 1)
+    with one_blas_thread():
+        joint, written = write_campaign(top, name, finished, failed)
+    if stored is not None:
+        stored.upload(written)
+    progress(JOIN, 1, 1)
+    notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
+    found = (replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)
+    return tuple(found if stored is None else (_addressed(outcome, stored) for outcome in found))
+
+
+def _addressed(outcome: Outcome, stored: StoredCampaign) -> Outcome:
+    """Return an outcome with the address of its results."""
+    return replace(outcome, address=stored.address_of(outcome.folder))
 
 
 def _with_notices(outcome: Outcome) -> Outcome:

@@ -49,20 +49,23 @@ class StoredRecording:
     earlier: tuple[str, ...] = ()
 
     def is_current(self, results: Path, settings: Settings) -> bool:
-        """Return whether results of the same stored files, settings and version exist; fetch what a campaign reads."""
-        key = self.key_of(settings)
-        if self.target is None:
-            file = results / SOURCE_FILE
-            return (
-                bool(key) and (results / RESULT_FILE).is_file() and file.is_file() and _key_in(file.read_bytes()) == key
-            )
-        if not key or self.key != key or RESULT_FILE not in self.earlier:
+        """Return whether results of the same stored files, settings and version exist.
+
+        If they are in the target, the files that a campaign reads are fetched.
+        """
+        key, found, names = self.key_of(settings), self.key, self.earlier
+        if self.target is None and results.is_dir():
+            source = results / SOURCE_FILE
+            found = _key_in(source.read_bytes()) if source.is_file() else ""
+            names = tuple(path.name for path in results.iterdir())
+        if not key or found != key or RESULT_FILE not in names:
             return False
-        self.target.fetch([name for name in (*MERGED_FILES, RESULT_FILE) if name in self.earlier], results)
+        if self.target is not None:
+            self.target.fetch([name for name in (*MERGED_FILES, RESULT_FILE) if name in names], results)
         return True
 
     def key_of(self, settings: Settings) -> str:
-        """Return a text that identifies files, settings and version; empty if a file has no tag."""
+        """Return a text that identifies files, settings and version, empty without tags."""
         return origin_key(self.files, settings.as_dict(), {PROGRAM: __version__}) if all(self.files.values()) else ""
 
     @contextmanager

@@ -404,7 +404,7 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results as a universal file or Zarr store, inputs as CSV, or fields as images.
+    """Export results as universal file or Zarr store, inputs as CSV, fields as images.
 
     Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
     """

@@ -30,9 +30,9 @@ def archive_packages() -> Iterator[None]:
 
 
 class ObjectStore:
-    """Files below an address of fsspec; every refusal of the store is an `InputError` with the address.
+    """Files below an address of fsspec, or below a folder of this machine.
 
-    `address` is without user name and password. Paths of the local machine are addresses, too.
+    Every refusal of the store is an `InputError` with the address. `address` is without user name and password.
     """
 
     def __init__(self, address: str) -> None:
@@ -43,6 +43,8 @@ class ObjectStore:
 
             self._fs, root = fsspec.core.url_to_fs(self._whole)
             self._root: str = root.rstrip("/")
+            named = self._fs.protocol
+            self._with_folders = bool(WITH_FOLDERS & ({named} if isinstance(named, str) else {*named}))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ObjectStore, (self._whole,)
@@ -67,7 +69,9 @@ class ObjectStore:
         """
         with self._errors():
             self._fs.invalidate_cache()
-            found: Mapping[str, Mapping[str, Any]] = self._fs.find(self._root, detail=True)
+            # By default, folders that cannot be read are omitted.
+            strict = {"on_error": "raise"} if self._with_folders else {}
+            found: Mapping[str, Mapping[str, Any]] = self._fs.find(self._root, detail=True, **strict)
         named = {}
         for path, facts in found.items():
             name = path[len(self._root) :].strip("/")
@@ -101,11 +105,9 @@ class ObjectStore:
     def write(self, contents: Mapping[str, bytes]) -> None:
         """Write files in order; each appears completely or not at all."""
         with self._errors():
-            named = self._fs.protocol
-            with_folders = bool(WITH_FOLDERS & ({named} if isinstance(named, str) else {*named}))
             for name, content in contents.items():
                 path = self._path(name)
-                if with_folders:
+                if self._with_folders:
                     self._fs.makedirs(path.rpartition("/")[0], exist_ok=True)
                     self._fs.pipe_file(f"{path}.part", content)
                     self._fs.mv(f"{path}.part", path)

@@ -1,4 +1,4 @@
-"""Database of the sensitivities of an archive: one Parquet file, made by `collect`, queried by conditions in SQL."""
+"""Database of the sensitivities of an archive: one Parquet file, queried by SQL."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ path, frequency_hz, channel, component, kind"""
 
 @dataclass(frozen=True)
 class Collected:
-    """Result folders of an archive: read now, unchanged, the same results as another folder, and errors."""
+    """Numbers of result files: read now, unchanged, copies of others; and errors."""
 
     read: int
     unchanged: int
@@ -93,11 +93,12 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
         raise InputError(NO_RESULTS, STORE, store.address, expected=RESULT_FILE)
     schema = _schema(store.address)
     before = _existing(output, schema)
-    known = dict(zip(*(before[column].to_pylist() for column in ("path", "tag")), strict=True))
-    kept = [path for path, tag in tags.items() if tag and known.get(path) == tag]
-    rows = before.filter(pyarrow.compute.is_in(before["path"], pyarrow.array(kept, pyarrow.string())))
+    pairs = before.group_by(["path", "tag"]).aggregate([])
+    known = dict(zip(pairs["path"].to_pylist(), pairs["tag"].to_pylist(), strict=True))
+    unchanged = [path for path, tag in tags.items() if tag and known.get(path) == tag]
+    rows = before.filter(pyarrow.compute.is_in(before["path"], pyarrow.array(unchanged, pyarrow.string())))
     results, new, errors, repeated = set(rows["result"].unique().to_pylist()), list[dict[str, Any]](), [], 0
-    todo = sorted(tags.keys() - kept)
+    todo = sorted(tags.keys() - unchanged)
     progress(COLLECT, 0, len(todo))
     for done, found in enumerate(_read(store, todo), 1):
         progress(COLLECT, done, len(todo))
@@ -109,11 +110,13 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
             results.add(found[0]["result"])
             new += [row | {"tag": tags[row["path"]]} for row in found]
     whole = pyarrow.concat_tables([rows, pyarrow.Table.from_pylist(new, schema)])
+    if output.exists() and not new and whole.num_rows == before.num_rows:
+        return Collected(0, len(unchanged), repeated, tuple(errors), whole.num_rows)
     content = BytesIO()
     ordered = whole.sort_by([(name, "ascending") for name in ORDER])
     pyarrow.parquet.write_table(ordered, content, compression="zstd", row_group_size=ROWS_PER_GROUP)
     write_atomically(output, content.getvalue())
-    return Collected(len(todo) - len(errors) - repeated, len(kept), repeated, tuple(errors), whole.num_rows)
+    return Collected(len(todo) - len(errors) - repeated, len(unchanged), repeated, tuple(errors), whole.num_rows)
 
 
 def query_results(database: str | Path, condition: str = "true") -> list[dict[str, Any]]:
@@ -213,9 +216,9 @@ def _table_of(name: str) -> str:
 
 
 def _rows(file: Path, name: str) -> list[dict[str, Any]]:
-    """Return one row for each frequency, output and component of a result: facts of its HDF5 file, values of its table.
+    """Return one row for each frequency, output and component of a result.
 
-    The covariances of the HDF5 file cost five times as much.
+    Facts are those of its HDF5 file, values those of its table. The covariances would cost eight times as much.
     """
     with open_results(file, "sensor", "provenance") as results:
         origin, attrs = provenance_of(results), results.attrs

@@ -1,4 +1,4 @@
-"""Export of results as a Zarr store, one group for each labelled array (`shakercal export RESULTS -o FILE.zarr`)."""
+"""Export of results as a Zarr store, one group for each labelled array."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FORMAT = 2
 
 
 def export_zarr(path: Path, output: Path, *, force: bool = False) -> list[str]:
-    """Write all labelled arrays of results with their covariances, and return the names of the groups.
+    """Write all labelled arrays of results, and return the names of their groups.
 
     xarray opens each group. Raises `InputError` for a path without results, or an existing folder unless it is a Zarr
     store and `force`.

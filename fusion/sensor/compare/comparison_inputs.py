@@ -151,7 +151,7 @@ def read_compared(paths: Mapping[str, str | Path], columns: str | Path | None = 
 
 
 def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> ComparedResult:
-    """Read a folder of results, a table, a Digital Calibration Certificate, or rows of a database.
+    """Read a folder of results, a table, a certificate (DCC), or rows of a database.
 
     Raises `InputError` if it cannot be compared.
 
@@ -206,7 +206,7 @@ def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> 
 
 
 def _queried(name: str, file: Path, condition: str) -> ComparedResult:
-    """Return the means of all rows of a database that a condition selects, by element and frequency."""
+    """Return the means of selected rows of a database, by element and frequency."""
     found: dict[tuple[str, str, str, str], list[list[dict[str, Any]]]] = {}
     rows = query_results(file, condition)
     for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):

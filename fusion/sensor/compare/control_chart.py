@@ -1,4 +1,4 @@
-"""Control charts of sensors over dates: individual values and moving ranges (ISO 7870-2), from a database."""
+"""Control charts of sensors over dates: individual values and moving ranges (ISO 7870-2)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ControlChart:
 
     @property
     def sigma(self) -> float:
-        """Return the standard deviation of a day: the mean range of neighbouring days of the baseline over d2."""
+        """Return the mean range of neighbouring days of the baseline over d2."""
         return float(np.mean(np.abs(np.diff(self.value[: self.baseline]))) / RANGE_OF_TWO)
 
     @property
@@ -151,7 +151,7 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
 
 
 def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
-    """Draw the first charts: values with U over the years, mean and limits; `kind` is the file format."""
+    """Draw values with U over the years, mean and limits; `kind` is the file format."""
     shown = charts[:MAX_PANELS]
     drawn = empty_figure("control-chart", 0.7 + 2.2 * len(shown), len(shown))
     for panel, chart in zip(drawn.panels, shown, strict=True):
