@@ -18,7 +18,7 @@ from fusion.errors import OUTPUT_EXISTS, InputError, as_input_error
 from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE, SENSITIVITY_FILE, origin_key, provenance_of
 from fusion.report.h5 import open_results
-from fusion.report.object_store import STORE, ObjectStore, archive_packages
+from fusion.report.object_store import STORE, TRANSFERS, ObjectStore, archive_packages
 from fusion.report.report_notices import NO_RESULTS, WRONG_CONDITION
 from fusion.report.table import read_rows
 
@@ -32,8 +32,6 @@ ARCHIVE_KEY = b"shakercal.archive"
 """Key of the archive's address in the file."""
 ORDER = ("serial", "channel", "component", "kind", "frequency_hz", "path")
 """Order of the rows: those of one curve are together, so that a query reads a small part of the file."""
-BATCH = 16
-"""Result files of a store that are fetched at the same time, about 4 MB each."""
 ROWS_PER_GROUP = 50_000
 COLLECT = "collect results"
 # One result of each recording: that of the newest version.
@@ -201,9 +199,9 @@ def _read(store: ObjectStore, names: Sequence[str]) -> Iterator[list[dict[str, A
             return error
         return Path(folder, name)
 
-    for start in range(0, len(names), BATCH):
-        some = names[start : start + BATCH]
-        with tempfile.TemporaryDirectory(prefix="shakercal-") as folder, ThreadPoolExecutor(BATCH) as transfers:
+    for start in range(0, len(names), TRANSFERS):
+        some = names[start : start + TRANSFERS]
+        with tempfile.TemporaryDirectory(prefix="shakercal-") as folder, ThreadPoolExecutor(TRANSFERS) as transfers:
             for name, file in zip(some, transfers.map(partial(fetched, folder), some), strict=True):
                 try:
                     yield file if isinstance(file, InputError) else _rows(file, name)

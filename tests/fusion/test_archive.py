@@ -231,6 +231,24 @@ def test_names_that_leave_the_folder_are_refused(monkeypatch, memory, tmp_path):
         store.files()
 
 
+@pytest.mark.parametrize("concurrent", [False, True])
+def test_names_are_no_patterns(memory, tmp_path, concurrent):
+    store = ObjectStore("memory://bucket/names")
+    if concurrent:  # as stores of the network are
+        wrapper = pytest.importorskip("fsspec.implementations.asyn_wrapper").AsyncFileSystemWrapper
+        store._fs = wrapper(memory, asynchronous=False)
+    contents = {"a[1].txt": b"1", "Prüf[x]/b.txt": b"2", "a1.txt": b"3", "Prüfx/b.txt": b"4"}
+    store.write(contents)
+    assert store.files().keys() == contents.keys()
+    store.fetch(["a[1].txt", "Prüf[x]/b.txt"], tmp_path / "here")
+    assert folder_contents(tmp_path / "here") == {"a[1].txt": b"1", "Prüf[x]/b.txt": b"2"}
+    assert store.read([*contents]) == contents
+    store.remove(["Prüf[x]/b.txt"])
+    assert store.files().keys() == contents.keys() - {"Prüf[x]/b.txt"}
+    with pytest.raises(InputError, match=STORE_REFUSED.code):
+        store.fetch(["gone"], tmp_path)
+
+
 def test_missing_packages_are_named(monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     sentence = refused("run", "s3://bucket/campaign")
