@@ -229,7 +229,7 @@ def main(sizes: list[int], rows: list[int], folder: Path, docs: Path | None) -> 
         multiply_rows(folder / f"archive-{sizes[-1]}.parquet", database, count)
         databases.append(database_row(database, folder / f"archive-{sizes[-1]}", count))
         print(databases[-1], file=sys.stderr, flush=True)
-    head = "| recordings | rows | database / MB | query of one sensor / ms | compare of two years / ms | add one result / s |"
+    head = "| recordings | rows | MB | query of one sensor / ms | compare of two years / ms | add one result / s |"
     made = {"archive costs": costs_table, "archive databases": markdown_table(head, databases)}
     print("\n\n".join(made.values()))
     if docs is not None:

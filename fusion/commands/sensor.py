@@ -350,7 +350,7 @@ def collect(options: argparse.Namespace) -> int:
     counts = (
         f"{found.read} read, {found.unchanged} unchanged, {found.repeated} repeated, {len(found.errors)} unreadable"
     )
-    print(f"database written: {options.output} ({found.rows} rows; results: {counts})")
+    print(f"database: {options.output} ({found.rows} rows; results: {counts})")
     return EXIT_INPUT if found.errors else EXIT_DONE
 
 

@@ -70,7 +70,7 @@ STORE_REFUSED = DeclaredNotice(
     "SC-959",
     "error",
     "the store refused to list, read or write ({reason})",
-    effect="No file is left half-written. Recordings of other files are evaluated.",
+    effect="No file is left half-written. The other recordings are evaluated.",
     remedy="Check address, permissions and connection, and run again; finished recordings are kept.",
     link="archive.md",
 )

@@ -395,6 +395,10 @@ def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
     with (tmp_path / "comparison" / "comparison.csv").open(encoding="utf-8") as file:
         assert {row["channel"] for row in csv.DictReader(file)} == {"Fz"}
     assert WRONG_CONDITION.code in refused("compare", f"a={database}?serial = 'none'", arguments[0])
+    with h5py.File(archive / "Jahr 2024" / "Größe 0" / "result.h5", "r+") as file:
+        file["sensor"].attrs["serial"] = "another"
+    collect_results(archive, database)
+    assert WRONG_CONDITION.code in refused("compare", *arguments)
 
 
 def test_xarray_opens_a_zarr_store_with_the_numbers_of_the_results(archive, tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
@@ -207,16 +207,12 @@ def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> 
 
 def _queried(name: str, file: Path, condition: str) -> ComparedResult:
     """Return the means of selected rows of a database, by element and frequency."""
-    found: dict[tuple[str, str, str, str], list[list[dict[str, Any]]]] = {}
     rows = query_results(file, condition)
-    for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):
-        if row["kind"] != HARMONIC:
-            lines = found.setdefault((row["channel"], row["component"], row["kind"], row["unit"]), [])
-            if not lines or row["frequency_hz"] > lines[-1][0]["frequency_hz"] * (1.0 + SAME_LINE):
-                lines.append([])
-            lines[-1].append(row)
-    if not found:
-        raise InputError(WRONG_CONDITION, file, reason=f"found {condition!r}, which selects no result")
+    sensors = sorted({row["serial"] or row["sensor"] for row in rows})
+    found = rows_by_line(rows, "channel", "component", "kind", "unit")
+    if not found or len(sensors) > 1:
+        what = f"several sensors ({', '.join(sensors[:3])}{', …' * (len(sensors) > 3)})" if found else "no result"
+        raise InputError(WRONG_CONDITION, file, reason=f"found {condition!r}, which selects {what}")
     means = {}
     for (channel, component, kind, unit), lines in found.items():
         for line in lines:
@@ -227,7 +223,22 @@ def _queried(name: str, file: Path, condition: str) -> ComparedResult:
     return ComparedResult(name, file, values, repeats=repeats, responses=responses)
 
 
-def _mean_of(rows: Sequence[Mapping[str, Any]], channel: str, component: str, unit: str) -> ComparedValue:
+Row: TypeAlias = Mapping[str, Any]
+
+
+def rows_by_line(rows: Iterable[Row], *names: str) -> dict[tuple[str, ...], list[list[Row]]]:
+    """Return rows of a database by some columns and by frequency, without harmonics."""
+    found: dict[tuple[str, ...], list[list[Row]]] = {}
+    for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):
+        if row["kind"] != HARMONIC:
+            lines = found.setdefault(tuple(row[name] for name in names), [])
+            if not lines or row["frequency_hz"] > lines[-1][0]["frequency_hz"] * (1.0 + SAME_LINE):
+                lines.append([])
+            lines[-1].append(row)
+    return found
+
+
+def _mean_of(rows: Sequence[Row], channel: str, component: str, unit: str) -> ComparedValue:
     """Return the mean of repeated results of one element.
 
     u² is the square of the mean u, which repeats do not reduce, plus the squared scatter over their number.

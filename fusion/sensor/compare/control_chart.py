@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from fusion.report.report_notices import WRONG_CONDITION
 from fusion.report.result_database import query_results
 from fusion.report.table import TableColumn, csv_text, text_column
 from fusion.report.terminal import print_table, print_text
-from fusion.sensor.compare.comparison_inputs import HARMONIC, SAME_LINE, split_query, year_of
+from fusion.sensor.compare.comparison_inputs import Row, rows_by_line, split_query, year_of
 from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.digits import number_text, quantity_text
 
@@ -64,20 +63,14 @@ class ControlChart:
         return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma)
 
 
-def control_charts(rows: Iterable[Mapping[str, Any]], baseline: int | None = None) -> tuple[ControlChart, ...]:
+def control_charts(rows: Iterable[Row], baseline: int | None = None) -> tuple[ControlChart, ...]:
     """Return the charts of all elements and frequencies with at least three days.
 
     `rows` of `query_results`; results of one day are averaged, phases about the first one. Rows without a date and
     harmonics are left out. `baseline`: number of the first days that determine mean and limits, None for all.
     """
-    groups: dict[tuple[str, ...], list[list[Mapping[str, Any]]]] = {}
-    for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):
-        if row["date"] is not None and row["kind"] != HARMONIC:
-            key = tuple(row[name] for name in ("serial", "channel", "component", "kind", "unit"))
-            lines = groups.setdefault(key, [[]])
-            if lines[-1] and row["frequency_hz"] > lines[-1][0]["frequency_hz"] * (1.0 + SAME_LINE):
-                lines.append([])
-            lines[-1].append(row)
+    dated = (row for row in rows if row["date"] is not None)
+    groups = rows_by_line(dated, "serial", "channel", "component", "kind", "unit")
     charts = []
     for (serial, channel, component, kind, unit), lines in sorted(groups.items()):
         for line in lines:
@@ -95,9 +88,7 @@ def control_charts(rows: Iterable[Mapping[str, Any]], baseline: int | None = Non
     return tuple(charts)
 
 
-def _daily(
-    rows: Sequence[Mapping[str, Any]], days: Sequence[Date], name: str, u_name: str
-) -> tuple[FloatArray, FloatArray]:
+def _daily(rows: Sequence[Row], days: Sequence[Date], name: str, u_name: str) -> tuple[FloatArray, FloatArray]:
     """Return the means (N,) of values and standard uncertainties of each day."""
     values = np.array([row[name] for row in rows])
     if name.endswith("_rad"):
