@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -175,7 +176,7 @@ def _fetch_manifests(
 
     A file that recordings share belongs to those whose manifests, or any table of the rig, contain its name.
     """
-    places = [PurePosixPath(name).parent.as_posix() for name in tags if name.endswith(f"/{RECORDING_NAME}")]
+    places = {name.removesuffix(f"/{RECORDING_NAME}") for name in tags if name.endswith(f"/{RECORDING_NAME}")}
     names = {place for place in places if "/" not in place and alone in ("", place)}
     if not names:
         expected = f"{RECORDING_NAME} at this address or directly below it"
@@ -185,7 +186,9 @@ def _fetch_manifests(
         first = name.partition("/")[0]
         if first in names or first not in places:
             files[first if first in names else ""][name] = tag
-    shared = files.pop("")
+    shared, by_name = files.pop(""), defaultdict[str, list[str]](list)
+    for name in shared:
+        by_name[name.rpartition("/")[2]].append(name)
     tables = [name for name in shared if name.endswith(".toml")]
     source.fetch([*tables, *(f"{name}/{RECORDING_NAME}" for name in names)], folder)
     common = "".join((folder / name).read_text(encoding="utf-8", errors="replace") for name in tables)
@@ -199,13 +202,13 @@ def _fetch_manifests(
     for name, own in files.items():
         manifest, place = folder / name / RECORDING_NAME, "" if alone else name
         text = common + manifest.read_text(encoding="utf-8", errors="replace")
-        used = {path: tag for path, tag in shared.items() if path in tables or PurePosixPath(path).name in text}
+        used = [*tables, *(path for last, paths in by_name.items() if last in text for path in paths)]
         found[manifest] = StoredRecording(
             source,
             None if target is None else target.below(place),
             f"{source.address}/{name}/{RECORDING_NAME}",
             folder,
-            used | own,
+            {path: shared[path] for path in used} | own,
             _key_in(keys.get(f"{place}/{SOURCE_FILE}".lstrip("/"), b"")),
             tuple(written.get(place, ())),
         )
