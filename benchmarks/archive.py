@@ -6,7 +6,7 @@ The demo recording is evaluated once, and multiplied: each copy has a manifest o
 its 100 images and channels as hard links, and a result with noise of 10⁻³, whose fields of images are left out. The
 store is the local disk by its address (file://), so that no latency of a network is included. Times are CPU times of
 all threads, the smallest of three. The exponent p of cost ~ number^p is that from the second largest to the largest
-archive, and extrapolates the cost of the largest to 10⁵ recordings. Databases of 10⁵ recordings are not extrapolated:
+archive, and extrapolates the cost of the largest to 10⁵ recordings, at least in proportion. Databases of 10⁵ recordings are not extrapolated:
 the rows of the largest archive are multiplied for them.
 """
 
@@ -214,7 +214,7 @@ def main(sizes: list[int], rows: list[int], folder: Path, docs: Path | None) -> 
     for step in steps:
         costs = [found[step] for found in table]
         p = math.log(costs[-1] / costs[-2]) / math.log(sizes[-1] / sizes[-2])
-        full = costs[-1] * (FULL / sizes[-1]) ** p
+        full = costs[-1] * (FULL / sizes[-1]) ** max(p, 1.0)
         each = [f"{1e3 * cost / size:.2g}" for cost, size in zip(costs, sizes, strict=True)]
         lines.append(markdown_row(step, *each, f"{p:.2f}", f"{full / 60:.2g}"))
     memory = [f"{found['memory']:.0f}" for found in table]

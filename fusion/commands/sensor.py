@@ -362,7 +362,7 @@ def _chart_options(parser: Parser) -> None:
     parser.figure_and_table("draw the charts", "write every day as a table")
 
 
-@command(_chart_options, "\"results.parquet?serial = '1234' and channel = component\" --figure chart.png")
+@command(_chart_options, "results.parquet --baseline 30 --figure chart.png")
 def chart(options: argparse.Namespace) -> int:
     """Draw control charts of sensors over dates, with limits by moving ranges."""
     from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, print_charts
