@@ -4,6 +4,7 @@ from .base import Settings as Settings
 from .base import __version__ as __version__
 from .campaign.recording_results import read_recorded as read_recorded
 from .campaign.run import run_path as run_path
+from .campaign.stored_campaign import fetched_campaign as fetched_campaign
 from .errors import ComputeError as ComputeError
 from .errors import InputError as InputError
 from .estimation.fuse import Acceleration as Acceleration
@@ -24,6 +25,8 @@ from .recording.load import find_recordings as find_recordings
 from .recording.load import load_for_command as load_for_command
 from .recording.load import load_manifest as load_manifest
 from .report.labelled_results import read_results as read_results
+from .report.result_database import collect_results as collect_results
+from .report.result_database import query_results as query_results
 from .sensitivity.analyse import Evaluation as Evaluation
 from .sensitivity.load_phasors import LoadResult as LoadResult
 from .sensitivity.ratio import Sensitivity as Sensitivity

@@ -88,6 +88,15 @@ def check_names(files: Iterable[Path]) -> None:
             raise InputError(PATH_NOT_UTF8, path, found="other bytes", expected="a path whose names are text in UTF-8")
 
 
+ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+(://|::)")
+"""Beginning of an address; a path of Windows has one letter before its colon."""
+
+
+def is_address(text: str) -> bool:
+    """Return whether a text is the address of an object store, such as `s3://bucket/campaign`."""
+    return ADDRESS.match(text) is not None
+
+
 def check_new_file(path: Path, *, force: bool) -> None:
     """Raise `InputError` for an existing path (a file: unless `force`) or a missing folder."""
     if path.exists() and not (force and path.is_file()):

@@ -77,6 +77,10 @@ class InputError(DeclaredError):
         """Return the same mistake at another key of the file."""
         return _input_error(self.declared, self.file, key, self.values, self.others)
 
+    def in_file(self, file: Path) -> InputError:
+        """Return the same mistake of another file."""
+        return _input_error(self.declared, file, self.key, self.values, self.others)
+
     @classmethod
     def together(cls, errors: Iterable[InputError]) -> InputError:
         """Return the first of some mistakes, which carries the others."""

@@ -364,6 +364,7 @@ def _manifest(folder: Path, choice: Choice) -> Any:
     excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))
     return SimpleNamespace(
         name=choice.name,
+        address="",
         set_ups=[],
         mounting=choice.mounting,
         path=folder / "recording.toml",

@@ -1,13 +1,17 @@
-"""Drawings of the set-up, the trigger, shutters and exposures: docs/practice.md and docs/shutter.md."""
+"""Drawings of the set-up, the trigger, shutters and exposures, and of a control chart (docs/practice.md)."""
 
 from __future__ import annotations
 
+from datetime import date, timedelta
 from typing import Any
 
 import numpy as np
 from matplotlib.patches import Arc, Circle, Polygon, Rectangle
 from scipy.signal import lfilter
 from style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Figure, FloatArray, arrow, blank, camera_shape, new_figure
+
+from fusion.sensor.compare.comparison_inputs import year_of
+from fusion.sensor.compare.control_chart import control_charts
 
 STEEL, PALE = "#cbd5e1", "#eef1f4"
 
@@ -298,6 +302,32 @@ def exposure_effects() -> Figure:
     return figure
 
 
+def control_chart() -> Figure:
+    """Draw a control chart of a simulated sensor whose sensitivity changes once."""
+    rng = np.random.default_rng(4)
+    relative = 5e-4 * rng.standard_normal(45) + np.where(np.arange(45) < 30, 0.0, 6e-3)
+    facts = {"serial": "1234", "channel": "Fz", "component": "Fz", "kind": "element", "unit": "", "frequency_hz": 80.0}
+    numbers = {"u_magnitude": 7e-4, "phase_rad": 0.0, "u_phase_rad": 1e-3}
+    days = [date(2023, 1, 9) + timedelta(days=25 * number) for number in range(len(relative))]
+    rows = [
+        facts | numbers | {"date": day, "magnitude": 1.0 + value}
+        for day, value in zip(days, relative.tolist(), strict=True)
+    ]
+    chart = control_charts(rows, 30)[0]
+    years, limit = np.array([year_of(day) for day in days]), 3.0 * chart.sigma
+    figure, axes = new_figure(2.6)
+    for chosen, colour, label in ((~chart.outside, BLUE, "within"), (chart.outside, RED, "beyond the limits")):
+        deviation = 100.0 * (chart.value[chosen] - chart.centre)
+        axes.errorbar(years[chosen], deviation, 0.14, fmt="o", ms=3, color=colour, lw=0.8, label=label)
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    for side in (-1.0, 1.0):
+        axes.axhline(100.0 * side * limit, color=RED, lw=0.9, ls="--")
+    axes.set(xlabel="year", ylabel="deviation from the mean / %")
+    axes.legend(loc="upper left")
+    axes.set_title("Days with U (k = 2), and limits from the first 30 days")
+    return figure
+
+
 DRAWINGS = (
     instrument_places,
     trigger_wiring,
@@ -306,4 +336,5 @@ DRAWINGS = (
     laboratory_day,
     rolling_shutter,
     exposure_effects,
+    control_chart,
 )

@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 
 from fusion.base import Executor, Pending, ProgressCallback, Settings, cleanup_on_signal, no_progress, versions
 from fusion.campaign.executor import Workers, connect_cluster, one_blas_thread
+from fusion.campaign.stored_campaign import SOURCE_FILE, StoredCampaign, StoredRecording
 from fusion.errors import ComputeError, InputError, as_user_error, is_interruption
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, load_manifest, select_kinds
@@ -35,7 +36,8 @@ log = logging.getLogger("shakercal")
 class Job:
     """A recording.toml to evaluate, the folder of its results, and the user's options.
 
-    `patience_s`: how long to wait for another process that evaluates it.
+    `patience_s`: how long to wait for another process that evaluates it. `stored`: where its files are, if they are to
+    be fetched.
     """
 
     recording: Path
@@ -44,6 +46,7 @@ class Job:
     force: bool = False
     allow_outside: bool = False
     patience_s: float = 0.0
+    stored: StoredRecording | None = None
 
     def with_absolute_paths(self, patience_s: float = 0.0) -> Job:
         """Return the job with absolute paths, which any process can use."""
@@ -56,7 +59,7 @@ class Outcome:
     """Outcome of one recording: its results folder, or the error.
 
     `resumed`: results of the same inputs, settings and program version existed already. `notices`: of the results; in a
-    campaign those that remain true within it; None before they are read.
+    campaign those that remain true within it; None before they are read. `address`: of the uploaded results.
     """
 
     recording: Path
@@ -64,6 +67,7 @@ class Outcome:
     resumed: bool = False
     error: InputError | ComputeError | None = None
     notices: tuple[Notice, ...] | None = None
+    address: str = ""
 
     @property
     def name(self) -> str:
@@ -79,7 +83,13 @@ class Outcome:
     def summary(self) -> str:
         """Path of the report, or the error."""
         what = "unchanged since the last run" if self.resumed else "written"
-        return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.folder / REPORT_FILE}"
+        return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.place(REPORT_FILE)}"
+
+    def place(self, name: str = "", *, above: bool = False) -> str:
+        """Return path or address of a result file; `above`: of its campaign."""
+        if self.address:
+            return f"{self.address.rpartition('/')[0] if above else self.address}/{name}".rstrip("/")
+        return str((self.folder.parent if above else self.folder) / name)
 
 
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
@@ -87,7 +97,27 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
 
     `executor`: processes that share the images of the recording.
     """
+    if job.stored is not None:
+        return _run_stored(job, job.stored, progress, executor)
+    return _run_files(job, progress, executor)
+
+
+def _run_stored(job: Job, stored: StoredRecording, progress: ProgressCallback, executor: Executor | None) -> Outcome:
+    """Fetch and evaluate a recording of an object store, unless its results are current."""
+    if not job.force and stored.is_current(job.folder, job.settings):
+        return Outcome(job.recording, job.folder, resumed=True)
+    with stored.fetched():
+        (job.folder / SOURCE_FILE).unlink(missing_ok=True)
+        outcome = _run_files(job, progress, executor)
+        stored.finish(job.folder, job.settings)
+    return outcome
+
+
+def _run_files(job: Job, progress: ProgressCallback, executor: Executor | None) -> Outcome:
+    """Evaluate a recording whose files are on this machine."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
+    if job.stored is not None:
+        manifest = replace(manifest, address=job.stored.address)
     hashes = hashing(manifest.files, manifest.root, manifest.file_identities)
     try:
         return _evaluated(job, manifest, hashes, progress, executor)
@@ -128,7 +158,7 @@ def _ready() -> None:  # its module imports all that a worker needs
 
 
 def run_path(
-    path: str | Path,
+    path: str | Path | StoredCampaign,
     output: str | Path | None,
     settings: Settings,
     *,
@@ -144,10 +174,10 @@ def run_path(
 
     Parameters
     ----------
-    path : str or Path
-        Recording folder, recording.toml, or campaign folder.
+    path : str, Path or StoredCampaign
+        Recording folder, recording.toml, or campaign folder; or a campaign in an object store (`fetched_campaign`).
     output : str, Path or None
-        Folder of the results; None: RECORDING/results or CAMPAIGN/results.
+        Folder of the results; None: RECORDING/results or CAMPAIGN/results, or as stated for the stored campaign.
     settings : Settings
         Settings of the evaluation.
     force : bool, default False
@@ -175,15 +205,18 @@ def run_path(
     >>> from fusion import Settings, run_path
     >>> outcomes = run_path("sample_images/demo", "results", Settings())  # doctest: +SKIP
     """
-    path = Path(path)
+    stored = path if isinstance(path, StoredCampaign) else None
+    output = output if stored is None else stored.output
+    path = path.path if isinstance(path, StoredCampaign) else Path(path)
     recordings = find_recordings(path)
     alone = not is_campaign(path)
     if not alone:
         recordings = select_kinds(recordings, kinds_of("run"))
     top = (recordings[0].parent if alone else path) / "results" if output is None else Path(output)
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
+    of_store = {} if stored is None else stored.recordings
     jobs = [
-        Job(recording, folder, settings, force, allow_outside)
+        Job(recording, folder, settings, force, allow_outside, stored=of_store.get(recording))
         for recording, folder in zip(recordings, folders, strict=True)
     ]
     if not alone:
@@ -194,23 +227,39 @@ def run_path(
     with nullcontext() if alone else file_lock(top), cleanup_on_signal(partial(remove_abandoned, above)):
         with _executor(workers) as executor:
             if alone:
-                return (_with_notices(_run_one(jobs[0], executor, progress)),)
+                outcome = _with_notices(_run_one(jobs[0], executor, progress))
+                return (outcome if stored is None else _addressed(outcome, stored),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
                 outcomes = _run_local(jobs, executor, progress)
             else:
                 outcomes = _run_distributed(jobs, executor, progress)
-        finished = [outcome.folder for outcome in outcomes if outcome.error is None]
-        failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
-        if finished:
-            from fusion.campaign.joint_report import write_campaign  # a recording by itself needs no campaign's models
+        return _joined(top, path.resolve().name, outcomes, stored, progress)
 
-            progress(JOIN, 0, 1)
-            with one_blas_thread():
-                joint, _ = write_campaign(top, path.resolve().name, finished, failed)
-            progress(JOIN, 1, 1)
-            notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
-            outcomes = tuple(replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)
-    return outcomes
+
+def _joined(
+    top: Path, name: str, outcomes: Sequence[Outcome], stored: StoredCampaign | None, progress: ProgressCallback
+) -> tuple[Outcome, ...]:
+    """Write the joint files of a campaign and return the outcomes with their notices."""
+    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+    if not finished:
+        return tuple(outcomes)
+    from fusion.campaign.joint_report import write_campaign  # a recording by itself needs no campaign's models
+
+    progress(JOIN, 0, 1)
+    with one_blas_thread():
+        joint, written = write_campaign(top, name, finished, failed)
+    if stored is not None:
+        stored.upload(written)
+    progress(JOIN, 1, 1)
+    notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
+    found = (replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)
+    return tuple(found if stored is None else (_addressed(outcome, stored) for outcome in found))
+
+
+def _addressed(outcome: Outcome, stored: StoredCampaign) -> Outcome:
+    """Return an outcome with the address of its results."""
+    return replace(outcome, address=stored.address_of(outcome.folder))
 
 
 def _with_notices(outcome: Outcome) -> Outcome:

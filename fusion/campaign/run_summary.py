@@ -162,12 +162,13 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
     for outcome in (one for one in done if one.missing):
         print_text(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
     if done:
-        file = _table_file(done, campaign=campaign)
         if rows := _answer(done, campaign=campaign):
             console.print(sensitivity_table(rows, console.width))
+            file = done[0].place(_table_file(done, campaign=campaign).name, above=campaign)
             console.print(f"other outputs, harmonics, numbers in full: {file}", soft_wrap=True)
         elif not any(one.missing for one in done):
-            console.print(f"{NO_OUTPUT}; accelerations: {file.with_name(ACCELERATION_FILE)}", soft_wrap=True)
+            file = done[0].place(ACCELERATION_FILE, above=campaign)
+            console.print(f"{NO_OUTPUT}; accelerations: {file}", soft_wrap=True)
     if not campaign:
         console.print(outcomes[0].summary, soft_wrap=True)
     else:
@@ -176,7 +177,7 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
             print_text(f"{outcome.name}: {outcome.summary}")
         if done:
             console.print(
-                f"report{' of all' * (len(outcomes) > 1)}: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True
+                f"report{' of all' * (len(outcomes) > 1)}: {done[0].place(REPORT_FILE, above=True)}", soft_wrap=True
             )
     for gathered in notices_of(done, campaign=campaign):
         single = not campaign or gathered.recordings == (CAMPAIGN,)
@@ -200,11 +201,11 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
                 "state": "failed" if outcome.error else "unchanged" if outcome.resumed else "evaluated",
                 "error": None if outcome.error is None else str(outcome.error),
                 "missing": outcome.missing or None,
-                "results": None if outcome.error else str(outcome.folder),
+                "results": None if outcome.error else outcome.place(),
             }
             for outcome in outcomes
         ],
-        files=[str(top / name) for name in files if (top / name).is_file()],
+        files=[outcomes[0].place(name, above=campaign) for name in files if (top / name).is_file()],
     )
 
 

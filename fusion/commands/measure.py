@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING
 
@@ -26,6 +28,7 @@ from fusion.commands.options import (
     hertz,
     page,
     path,
+    path_or_address,
     percent,
     radius,
     seed,
@@ -46,7 +49,9 @@ from fusion.report.terminal import print_text, progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
+    from fusion.campaign.stored_campaign import StoredCampaign
     from fusion.recording.load import Manifest
     from shakercal._common.notices import DeclaredNotice
 
@@ -285,9 +290,11 @@ def _manifests(options: argparse.Namespace) -> list[Manifest]:
 
 
 def _run_options(parser: Parser) -> None:
-    parser.recording()
-    text = "folder of the results (default: RECORDING/results)"
-    parser.add_argument("-o", "--output", type=path, metavar="RESULTS", help=text)
+    text = "folder of a recording or of a campaign, or its address in an object store, such as s3://bucket/campaign"
+    parser.value("recording", path_or_address, "RECORDING", text)
+    parser.allow_outside()
+    text = "folder of the results, of a stored campaign also an address (default: RECORDING/results)"
+    parser.add_argument("-o", "--output", type=path_or_address, metavar="RESULTS", help=text)
     parser.switch("--force", "compute again and overwrite existing results")
     text = "half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)"
     parser.value("--subset-radius", radius, "PX", text)
@@ -327,24 +334,37 @@ def run(options: argparse.Namespace) -> int:
         seed=options.seed,
         save_points=options.save_points,
     )
-    with progress_bar(enabled=not options.quiet) as progress:
-        outcomes = run_path(
-            options.recording,
-            options.output,
-            settings,
-            force=options.force,
-            allow_outside=options.allow_outside,
-            workers=options.workers if options.scheduler is None else options.scheduler,
-            progress=progress,
-        )
-    campaign = is_campaign(options.recording)
-    if options.json:
-        print(as_json(outcomes, campaign=campaign))
-    else:
-        print_outcomes(outcomes, campaign=campaign)
-    if done := [outcome.folder for outcome in outcomes if outcome.error is None]:
-        write_requested_pdf((done[0].parent if campaign else done[0]) / REPORT_FILE)
+    with _campaign(options) as source:
+        with progress_bar(enabled=not options.quiet) as progress:
+            outcomes = run_path(
+                source,
+                options.output,
+                settings,
+                force=options.force,
+                allow_outside=options.allow_outside,
+                workers=options.workers if options.scheduler is None else options.scheduler,
+                progress=progress,
+            )
+        campaign = is_campaign(source if isinstance(source, Path) else source.path)
+        if options.json:
+            print(as_json(outcomes, campaign=campaign))
+        else:
+            print_outcomes(outcomes, campaign=campaign)
+        if done := [outcome.folder for outcome in outcomes if outcome.error is None]:
+            write_requested_pdf((done[0].parent if campaign else done[0]) / REPORT_FILE)
     return exit_status(outcomes)
+
+
+def _campaign(options: argparse.Namespace) -> AbstractContextManager[Path | StoredCampaign]:
+    """Return the recordings of a run: a path, or what an address stands for."""
+    if isinstance(options.recording, str):
+        from fusion.campaign.stored_campaign import fetched_campaign
+
+        return fetched_campaign(options.recording, options.output)
+    if isinstance(options.output, str):
+        expected = "a local folder for recordings of this machine"
+        raise InputError(OPTION_OF_ANOTHER_INPUT, options.recording, found=f"-o {options.output}", expected=expected)
+    return nullcontext(options.recording)
 
 
 def _transfer_options(parser: Parser) -> None:
@@ -376,7 +396,7 @@ def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
     target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write")
+    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write: .uff, or .zarr")
     text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
     target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
     parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
@@ -386,7 +406,7 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Export results as a universal file, inputs as CSV, or fields as images.
+    """Export results as universal file or Zarr store, inputs as CSV, fields as images.
 
     Universal files (UFF) have the data sets 58, 58b, 55 and 2411.
     """
@@ -403,6 +423,12 @@ def export(options: argparse.Namespace) -> None:
 
         count = export_inputs(options.results, options.output, force=options.force)
         print(f"table written: {options.output} ({count} rows)")
+        return
+    if options.output.suffix == ".zarr":
+        from fusion.report.zarr_export import export_zarr
+
+        groups = export_zarr(options.results, options.output, force=options.force)
+        print(f"Zarr store written: {options.output} ({', '.join(groups)})")
         return
     from fusion.report.universal_export import export_universal
 

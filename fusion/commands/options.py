@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
-from fusion.base import FEWEST_DRAWS, MOST_DRAWS
+from fusion.base import FEWEST_DRAWS, MOST_DRAWS, is_address
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_CLOSED = 0, 1, 2, 130, 141
@@ -199,6 +199,11 @@ def path(text: str) -> Path:
         reason = error.strerror if isinstance(error, OSError) else "circular links"
         raise argparse.ArgumentTypeError(f"expected a path, found {shown}: {reason}") from error
     return Path(text)
+
+
+def path_or_address(text: str) -> Path | str:
+    """Return a path, or the address of an object store as text."""
+    return text if is_address(text) and text.isprintable() and len(text) <= LONGEST else path(text)
 
 
 def size(text: str) -> tuple[int, int]:

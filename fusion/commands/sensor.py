@@ -7,21 +7,30 @@ help.
 from __future__ import annotations
 
 import argparse
+import logging
+from functools import partial
 
+from fusion.base import check_new_file
 from fusion.commands.options import (
+    EXIT_DONE,
+    EXIT_INPUT,
     Parser,
     between_0_and_1,
     command,
     hertz,
     not_negative,
     path,
+    path_or_address,
     percent,
     positive,
     seed,
     whole,
 )
+from fusion.commands.plan import show_table, write_figure
 from fusion.errors import FREQUENCIES_NOT_ASCENDING, InputError
 from fusion.report.terminal import progress_bar
+
+log = logging.getLogger("shakercal")
 
 
 def _rotate_options(parser: Parser) -> None:
@@ -322,4 +331,49 @@ def compare(options: argparse.Namespace) -> None:
     run_compare(options.inputs, options.output, dates, options.tolerance, options.columns, method, force=options.force)
 
 
-COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, compare)
+def _collect_options(parser: Parser) -> None:
+    text = "folder with results at any depth, or its address in an object store, such as s3://bucket/results"
+    parser.value("archive", path_or_address, "ARCHIVE", text)
+    text = "Parquet file to write, or to renew by the results that are new or changed"
+    parser.value("-o", path, "DATABASE.parquet", text, dest="output", required=True)
+
+
+@command(_collect_options, "archive -o results.parquet")
+def collect(options: argparse.Namespace) -> int:
+    """Collect the sensitivities of an archive in a database, for queries and compare."""
+    from fusion.report.result_database import collect_results
+
+    with progress_bar(enabled=not options.quiet) as progress:
+        found = collect_results(options.archive, options.output, progress)
+    for error in found.errors:
+        log.error("%s", error)
+    counts = (
+        f"{found.read} read, {found.unchanged} unchanged, {found.repeated} repeated, {len(found.errors)} unreadable"
+    )
+    print(f"database: {options.output} ({found.rows} rows; results: {counts})")
+    return EXIT_INPUT if found.errors else EXIT_DONE
+
+
+def _chart_options(parser: Parser) -> None:
+    text = "database of shakercal collect, and a condition on its columns"
+    parser.value("database", path, "DATABASE.parquet[?CONDITION]", text)
+    text = "number of the first days that determine mean and limits (default: all)"
+    parser.value("--baseline", whole(3, 1000), "DAYS", text)
+    parser.figure_and_table("draw the charts", "write every day as a table")
+
+
+@command(_chart_options, "results.parquet --baseline 30 --figure chart.png")
+def chart(options: argparse.Namespace) -> int:
+    """Draw control charts of sensors over dates, with limits by moving ranges."""
+    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, print_charts
+
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
+    charts = charts_of(options.database, options.baseline)
+    if options.figure:
+        write_figure(options.figure, partial(draw_charts, charts))
+    show_table(options, "chart", charts_csv(charts), partial(print_charts, charts))
+    return EXIT_DONE
+
+
+COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, collect, compare, chart)

@@ -83,6 +83,7 @@ class Manifest:
     signature_notices : notices of the signatures of certificates.
     file_identities : identities of the files when the manifests were read.
     acknowledged : acknowledgements of notices.
+    address : where the recording is, if that is not `path`: its address in an object store.
 
     Examples
     --------
@@ -115,6 +116,7 @@ class Manifest:
     inputs: tuple[UncertainInput, ...] = ()
     signature_notices: tuple[Notice, ...] = ()
     file_identities: Mapping[Path, FileIdentity] = field(default_factory=dict)
+    address: str = ""
 
     def __repr__(self) -> str:
         return f"Manifest({self.name!r}, {self.excitation.kind}, {str(self.path)!r})"

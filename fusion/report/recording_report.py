@@ -359,13 +359,17 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str], folder: P
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["recording"] = manifest.name
-        file.attrs[RECORDED_AT[1]] = str(recorded)
-        with suppress(ValueError):  # of another drive
-            file.attrs[RECORDED_AT[0]] = Path(os.path.relpath(recorded, (folder or path.parent).resolve())).as_posix()
+        file.attrs[RECORDED_AT[1]] = manifest.address or str(recorded)
+        if not manifest.address:
+            with suppress(ValueError):  # of another drive
+                place = os.path.relpath(recorded, (folder or path.parent).resolve())
+                file.attrs[RECORDED_AT[0]] = Path(place).as_posix()
         file.attrs["rig"] = manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)
         file.attrs["mounting"] = manifest.mounting
+        if manifest.rig.administration is not None and manifest.rig.administration.laboratory is not None:
+            file.attrs["laboratory"] = manifest.rig.administration.laboratory
         if manifest.simulated:
             file.attrs["simulated"] = True
         if manifest.date is not None:

@@ -56,6 +56,33 @@ NOT_PRINTED = DeclaredNotice(
     link="results.md#on-paper",
 )
 
+# Object storage and databases of results.
+
+ARCHIVE_PACKAGES_MISSING = DeclaredNotice(
+    "SC-958",
+    "error",
+    'expected the packages that `pip install "shakercal[archive]"` installs, found not all ({reason})',
+    effect="The command did not start.",
+    remedy='Run `pip install "shakercal[archive]"`, and the package of the store, such as s3fs, gcsfs or adlfs.',
+    link="archive.md",
+)
+STORE_REFUSED = DeclaredNotice(
+    "SC-959",
+    "error",
+    "the store refused to list, read or write ({reason})",
+    effect="No file is left half-written. The other recordings are evaluated.",
+    remedy="Check address, permissions and connection, and run again; finished recordings are kept.",
+    link="archive.md",
+)
+WRONG_CONDITION = DeclaredNotice(
+    "SC-960",
+    "error",
+    "expected a database of `shakercal collect` and a condition on its columns, {reason}",
+    effect="The command did not start.",
+    remedy="Correct the condition. `docs/archive.md` lists the columns.",
+    link="archive.md#columns",
+)
+
 # Input files that are hashed.
 
 

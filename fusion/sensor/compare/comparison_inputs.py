@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
@@ -21,6 +21,8 @@ from fusion.recording.values import describe, wrong_size
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
+from fusion.report.report_notices import WRONG_CONDITION
+from fusion.report.result_database import query_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor import result_notices as declared
 from fusion.sensor.compare.named_tables import ComparedColumns, ComparedTables, read_named_table, read_tables
@@ -38,6 +40,8 @@ SAME_LINE = 1e-4
 DAYS = 365.2425
 COMPANION_FILES = {CURVE_FILE: CAMPAIGN_FILE, SENSITIVITY_FILE: RESULT_FILE}
 """HDF5 file with the origin of the values, by the table of results."""
+DATABASE = ".parquet"
+QUERY = f"{DATABASE}?"
 ELEMENT = re.compile(r"(?P<ratio>Ratio of output )?(\S+) (?(ratio)to driven load|per) (\S+)$")
 """End of the name of a certificate's result, of an element or of a ratio."""
 
@@ -93,6 +97,7 @@ class ComparedResult:
 
 def result_file(path: Path) -> Path:
     """Return the table of a folder of results, or the file itself; `InputError` without one."""
+    path = split_query(path)[0]
     if not path.is_dir():
         return path
     for folder in (path, path / "results"):
@@ -100,6 +105,12 @@ def result_file(path: Path) -> Path:
             if (folder / name).is_file():
                 return folder / name
     raise InputError(declared.NO_RESULT_TABLE, path, expected=f"{CURVE_FILE} or {SENSITIVITY_FILE}")
+
+
+def split_query(path: Path) -> tuple[Path, str]:
+    """Return the database and the condition of `FILE.parquet?CONDITION`; other paths unchanged with "true"."""
+    before, query, condition = str(path).partition(QUERY)
+    return (Path(f"{before}{DATABASE}"), condition) if query else (path, "true")
 
 
 def result_files(path: Path) -> list[Path]:
@@ -115,7 +126,8 @@ def read_compared(paths: Mapping[str, str | Path], columns: str | Path | None = 
     Parameters
     ----------
     paths : mapping of str to str or Path
-        Name `[ROUND/]LABORATORY[@DATE]` → folder of results, CSV table, or Digital Calibration Certificate.
+        Name `[ROUND/]LABORATORY[@DATE]` → folder of results, CSV table, Digital Calibration Certificate, or
+        `DATABASE.parquet?CONDITION` for rows of a database (`query_results`).
     columns : str or Path, optional
         File that names the columns of tables with other columns, as of `shakercal compare --columns`.
 
@@ -139,7 +151,7 @@ def read_compared(paths: Mapping[str, str | Path], columns: str | Path | None = 
 
 
 def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> ComparedResult:
-    """Read a folder of results, a table, or a Digital Calibration Certificate.
+    """Read a folder of results, a table, a certificate (DCC), or rows of a database.
 
     Raises `InputError` if it cannot be compared.
 
@@ -151,6 +163,8 @@ def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> 
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
         return _certified(name, file)
+    if file.suffix.lower() == DATABASE:
+        return _queried(name, file, split_query(path)[1])
     if tables is not None and not path.is_dir():
         named = tables.columns_of.get(name, tables.columns)
         if named is not None and (name in tables.columns_of or not _has_usual_columns(file)):
@@ -189,6 +203,67 @@ def read_result(name: str, path: Path, tables: ComparedTables | None = None) -> 
         values.append(replace(found[key], effects=effects, year=year))
     selected, responses = _without_responses(values)
     return ComparedResult(name, file, selected, evidence=evidence, responses=responses)
+
+
+def _queried(name: str, file: Path, condition: str) -> ComparedResult:
+    """Return the means of selected rows of a database, by element and frequency."""
+    rows = query_results(file, condition)
+    sensors = sorted({row["serial"] or row["sensor"] for row in rows})
+    found = rows_by_line(rows, "channel", "component", "kind", "unit")
+    if not found or len(sensors) > 1:
+        what = f"several sensors ({', '.join(sensors[:3])}{', …' * (len(sensors) > 3)})" if found else "no result"
+        raise InputError(WRONG_CONDITION, file, reason=f"found {condition!r}, which selects {what}")
+    means = {}
+    for (channel, component, kind, unit), lines in found.items():
+        for line in lines:
+            mean = _mean_of(line, channel, component, unit)
+            means[mean.frequency_hz, channel, component, kind] = mean
+    values, responses = _without_responses([means[key] for key in _best(means)])
+    repeats = max(len(line) for lines in found.values() for line in lines)
+    return ComparedResult(name, file, values, repeats=repeats, responses=responses)
+
+
+Row: TypeAlias = Mapping[str, Any]
+
+
+def rows_by_line(rows: Iterable[Row], *names: str) -> dict[tuple[str, ...], list[list[Row]]]:
+    """Return rows of a database by some columns and by frequency, without harmonics."""
+    found: dict[tuple[str, ...], list[list[Row]]] = {}
+    for row in sorted(rows, key=lambda row: float(row["frequency_hz"])):
+        if row["kind"] != HARMONIC:
+            lines = found.setdefault(tuple(row[name] for name in names), [])
+            if not lines or row["frequency_hz"] > lines[-1][0]["frequency_hz"] * (1.0 + SAME_LINE):
+                lines.append([])
+            lines[-1].append(row)
+    return found
+
+
+def _mean_of(rows: Sequence[Row], channel: str, component: str, unit: str) -> ComparedValue:
+    """Return the mean of repeated results of one element.
+
+    u² is the square of the mean u, which repeats do not reduce, plus the squared scatter over their number.
+    """
+    columns = ("frequency_hz", "magnitude", "u_magnitude", "k_magnitude", "phase_rad", "u_phase_rad", "k_phase")
+    table = np.array([[row[name] for name in columns] for row in rows])
+    frequency, magnitude, u_magnitude, k, phase, u_phase, k_phase = table.T
+    phase = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
+    days = [year_of(row["date"]) for row in rows if row["date"] is not None]
+    phased = bool(np.isfinite([*phase, *u_phase]).all())
+    scatter = [np.std(values, ddof=1) / np.sqrt(len(rows)) if len(rows) > 1 else 0.0 for values in (magnitude, phase)]
+    return ComparedValue(
+        frequency_hz=float(np.mean(frequency)),
+        channel=channel,
+        component=component,
+        ratio=rows[0]["kind"] == KINDS[2],
+        unit=unit,
+        magnitude=float(np.mean(magnitude)),
+        u_magnitude=float(np.hypot(np.mean(u_magnitude * np.maximum(k / 2.0, 1.0)), scatter[0])),
+        phase_rad=float(np.mean(phase)) if phased else None,
+        u_phase_rad=float(np.hypot(np.mean(u_phase * np.maximum(k_phase / 2.0, 1.0)), scatter[1]))
+        if phased
+        else np.nan,
+        year=float(np.mean(days)) if len(days) == len(rows) else np.nan,
+    )
 
 
 def _has_usual_columns(file: Path) -> bool:

@@ -26,7 +26,7 @@ from fusion.sensor.compare.comparison_evaluation import (
     ComparisonMethod,
     evaluate_comparison,
 )
-from fusion.sensor.compare.comparison_inputs import ComparedResult, read_compared, result_files
+from fusion.sensor.compare.comparison_inputs import QUERY, ComparedResult, read_compared, result_files, split_query
 from fusion.sensor.compare.consistency import SharedInput, list_titles
 from fusion.sensor.compare.linking import Participant
 from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
@@ -326,8 +326,9 @@ def run_compare(
     named: dict[str, Path] = {}
     for text in inputs:
         first, equals, rest = text.partition("=")
-        path = Path(rest if equals else text)
-        name = first if equals else path.stem
+        named_result = equals and QUERY not in first
+        path = Path(rest if named_result else text)
+        name = first if named_result else split_query(path)[0].stem
         if not name or name in named:
             raise InputError(WRONG_COMPARISON_OPTION, path, found=name, expected="NAME=PATH with unique names")
         named[name] = path
