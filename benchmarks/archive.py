@@ -6,8 +6,8 @@ The demo recording is evaluated once, and multiplied: each copy has a manifest o
 its 100 images and channels as hard links, and a result with noise of 10⁻³, whose fields of images are left out. The
 store is the local disk by its address (file://), so that no latency of a network is included. Times are CPU times of
 all threads, the smallest of three. The exponent p of cost ~ number^p is that from the second largest to the largest
-archive, and extrapolates the cost of the largest to 10⁵ recordings, at least in proportion. Databases of 10⁵ recordings are not extrapolated:
-the rows of the largest archive are multiplied for them.
+archive, and extrapolates the cost of the largest to 10⁵ recordings, at least in proportion. Databases of 10⁵
+recordings are not extrapolated: the rows of the largest archive are multiplied for them.
 """
 
 from __future__ import annotations
