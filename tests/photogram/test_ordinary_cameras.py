@@ -20,7 +20,7 @@ from camera_faults import (
     swing,
     turn,
 )
-from contracts import refused
+from contracts import refused, slow
 from speckle import PIXEL_M, camera
 
 from photogram.direct.surface import Patches, PlacedCamera, PlainShapes, patch_rates, warps_of_points
@@ -66,7 +66,7 @@ def test_rates_after_a_motion_precede_its_warp():
         np.testing.assert_allclose((found - whole).reshape(-1, 2, 3), predicted, atol=1e-3 * np.abs(predicted).max())
 
 
-@pytest.mark.parametrize("device", ["cpu", "cpu:0"])
+@pytest.mark.parametrize("device", ["cpu", *slow("cpu:0")])
 def test_a_body_that_turns_by_15_degrees_between_frames_is_where_it_is(device):
     """Up to 165°. With the rates at rest, the mean of 8 series was 55 standard uncertainties off in z at 75° to 90°."""
     poses = turn(12, 15.0)
