@@ -5,10 +5,12 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
+# What is compiled is kept: hundreds of processes read the same modules.
+unexport PYTHONDONTWRITEBYTECODE
 # Processes that check types side by side, where mypy knows how to.
 export MYPY_NUM_WORKERS := auto
 
-.PHONY: demo test validate lint types platforms win32 darwin docs gallery docs-pictures sample-images benchmark dic-challenge wheel clean
+.PHONY: demo test kernels validate lint types platforms win32 darwin docs gallery docs-pictures sample-images benchmark dic-challenge wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -16,8 +18,13 @@ demo: .venv/installed
 # One process per core, each with one thread; an idle process takes tests over from one that has many left.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-test: lint types
+test: .venv/dev
+	$(MAKE) -j 2 -O lint types kernels
 	$(PYTEST) -m "not slow"
+
+# Compiled once before all processes of the tests would compile them at the same time.
+kernels: .venv/dev
+	$(BIN)/shakercal run sample_images/demo -o build/demo --force -q
 
 validate: .venv/dev
 	$(PYTEST) -m slow

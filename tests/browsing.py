@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 SCREENS = ((1400, 900), (800, 1000))
@@ -17,19 +17,49 @@ _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-fig
 })"""
 
 
-class Page:
-    """A page that is open, what its console said and what it asked for."""
+WINDOW = (1400, 1000)
 
-    def __init__(self, browser: Any, path: Path, **settings: Any) -> None:
-        self.context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
-        self.page = self.context.new_page()
-        self.page.set_default_timeout(8000)
-        self.said: list[str] = []
+
+class Tab:
+    """A page of a browser. It is used again after `leave`: a new one takes a second of the processor."""
+
+    free: ClassVar[list[Tab]] = []
+
+    def __init__(self, browser: Any) -> None:
+        self.page = browser.new_context().new_page()
+        self.said: list[tuple[str, str]] = []
         self.asked: list[str] = []
-        self.page.on("console", lambda message: self.said.append(message.text) if message.type != "info" else None)
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("console", lambda message: self.said.append((message.type, message.text)))
+        self.page.on("pageerror", lambda error: self.said.append(("error", str(error))))
         self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.goto(path.as_uri())
+
+    @classmethod
+    def open(cls, browser: Any, address: str, size: tuple[int, int], timeout_ms: int, **media: str) -> Tab:
+        """Show an address in a window of this size; `media` is what `emulate_media` takes."""
+        tab = cls.free.pop() if cls.free else cls(browser)
+        tab.page.set_default_timeout(timeout_ms)
+        tab.page.set_viewport_size({"width": size[0], "height": size[1]})
+        tab.page.emulate_media(**({"media": "null", "color_scheme": "light", "reduced_motion": "null"} | media))
+        tab.page.goto(address)
+        return tab
+
+    def leave(self) -> tuple[list[tuple[str, str]], list[str]]:
+        """Return what the console said, with the kind of each text, and what was asked for."""
+        found = [*self.said], [*self.asked]
+        self.page.goto("about:blank")
+        self.page.mouse.move(0, 0)
+        self.said.clear()
+        self.asked.clear()
+        self.free.append(self)
+        return found
+
+
+class Page:
+    """A page that is open."""
+
+    def __init__(self, browser: Any, path: Path, size: tuple[int, int] = WINDOW, **media: str) -> None:
+        self.tab = Tab.open(browser, path.as_uri(), size, 8000, **media)
+        self.page = self.tab.page
 
     def draw(self, name: str) -> Any:
         """Bring a figure into view and wait for it."""
@@ -42,17 +72,16 @@ class Page:
 
     def close(self) -> None:
         """Close the page, which has had nothing to complain of and asked for nothing."""
-        self.context.close()
-        assert self.said == []
-        assert all(address.startswith(("file:", "data:", "blob:")) for address in self.asked)
+        said, asked = self.tab.leave()
+        assert [text for kind, text in said if kind != "info"] == []
+        assert all(address.startswith(("file:", "data:", "blob:")) for address in asked)
 
 
 def below_the_first_screen(browser: Any, path: Path, picture: str) -> list[str]:
     """Return which headlines and main pictures do not end on the first screen, at either size."""
     found = []
     for wide, high in SCREENS:
-        opened = Page(browser, path)
-        opened.page.set_viewport_size({"width": wide, "height": high})
+        opened = Page(browser, path, (wide, high))
         opened.page.wait_for_selector("html[data-printable]", state="attached")
         opened.page.wait_for_function(_ALL_IN_VIEW_ARE_DRAWN)
         ends = opened.page.evaluate(
@@ -106,25 +135,17 @@ def marks_of_pages(file: Path) -> list[int]:
 @contextmanager
 def viewer_pages(browser: Any, expected: str = "(?!)", timeout_ms: int = 8000) -> Iterator[Callable[..., Any]]:
     """Open pages of the viewer; at the end nothing but `expected` was complained of, and nobody else asked."""
-    said: list[str] = []
-    asked: list[str] = []
-    contexts = []
+    tabs: list[Tab] = []
 
-    def open_page(client: Any, wait: str = "body[data-frame]", **settings: Any) -> Any:
-        context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
-        contexts.append(context)
-        page = context.new_page()
-        page.set_default_timeout(timeout_ms)
-        page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(client.server.address)
-        page.wait_for_selector(wait)
-        return page
+    def open_page(client: Any, wait: str = "body[data-frame]", **media: str) -> Any:
+        tabs.append(Tab.open(browser, client.server.address, WINDOW, timeout_ms, **media))
+        tabs[-1].page.wait_for_selector(wait)
+        return tabs[-1].page
 
     yield open_page
-    for context in contexts:
-        context.close()
+    left = [tab.leave() for tab in tabs]
+    said = [text for told, _ in left for kind, text in told if kind in ("error", "warning")]
     assert [text for text in said if not re.search(expected, text)] == []
+    asked = [url for _, asked in left for url in asked]
     assert asked
     assert all(urlsplit(url).hostname == "127.0.0.1" or url.startswith(("data:", "blob:")) for url in asked)

@@ -191,6 +191,7 @@ class _Drawing:
             self.title.set_text(title)
         canvas: Any = self.canvas  # without types
         canvas.draw()
+        canvas.figure.set_layout_engine("none")  # solved once: the next frames differ in pixels and one number
         return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
 
 

@@ -322,7 +322,7 @@ def _add_side(normal: BundleNormalEquations, bundle: Bundle, side: _Side, seen: 
 # Pose of a target alone, by Gauss–Newton steps.
 
 _POSE_STEPS = 30  # limit of the steps; some five are usual
-_POSE_CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
+_POSE_CONVERGED = 1e-9  # expected decrease of the sum of squares, of a sum above 1 its share, that ends the iteration
 
 
 def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidTransform, FloatArray, float]:
@@ -341,7 +341,7 @@ def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidT
         step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
         middle = bundle.shape.flat_m.mean(axis=0)
         bundle = replace(bundle, poses=step_poses(middle, bundle.poses, step[None], np.zeros(2)))
-        if side @ step < _POSE_CONVERGED:
+        if side @ step < _POSE_CONVERGED * max(squares, 1.0):
             return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
     return bundle.poses[0], np.full((6, 6), np.nan), np.inf
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
-from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.geometry import RigidTransform, rotation_from_vector, skew
 from photogram.targets.target_view import Target
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 
@@ -95,11 +95,11 @@ def model_view_pixels(
     by_flat = camera.matrix[:2, :2] @ by_flat
     by_position = by_flat @ flat_by_position
     by_left = by_position @ camera_from_left.rotation
-    by_turn, by_left_turn = -_crossed(by_position, in_camera_rotated), -_crossed(by_left, rotated)
+    by_turn, by_left_turn = -by_position @ skew(in_camera_rotated), -by_left @ skew(rotated)  # r·[v]× = r × v
     if radius_m > 0:
         by_normal = by_flat @ flat_by_normal
-        by_turn -= _crossed(by_normal, normal)
-        by_left_turn -= _crossed(by_normal @ camera_from_left.rotation, normal_left)
+        by_turn -= by_normal @ skew(normal)
+        by_left_turn -= by_normal @ camera_from_left.rotation @ skew(normal_left)
     return ModelledPixels(
         placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2],
         _by_camera(camera, flat, placed),
@@ -107,11 +107,6 @@ def model_view_pixels(
         np.concatenate([by_left, by_left_turn], axis=-1),
         by_left @ rotation,
     )
-
-
-def _crossed(rows: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return rows (N, 2, 3) times matrices [v]×: r·[v]× = r × v."""
-    return np.cross(rows, vector[:, None])
 
 
 def ellipse_centres(

@@ -18,6 +18,7 @@ from fusion.campaign.executor import one_blas_thread
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import Manifest, find_recordings, load_manifest
+from fusion.report.recording_report import write_results
 from fusion.report.summary_pdf import find_browser
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.recording_evaluation import evaluate_recording
@@ -113,6 +114,19 @@ def demo_evaluation(demo_recording: Path, tmp_path_factory: pytest.TempPathFacto
             return evaluate_recording(load_manifest(find_recordings(demo_recording)[0]), Settings(), {})
 
     return make_once(tmp_path_factory, "demo", evaluate)
+
+
+@pytest.fixture(scope="session")
+def demo_results(demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of the demo with an empty page, written once per test run. Tests that change them must copy them."""
+
+    def write(folder: Path) -> Path:
+        with pytest.MonkeyPatch.context() as patch:
+            without_pages(patch)
+            write_results(demo_evaluation, folder / "Fz-0080")
+        return folder / "Fz-0080"
+
+    return make_once(tmp_path_factory, "demo-results", write)
 
 
 COMMANDS = {

@@ -37,10 +37,9 @@ from fusion.report.field_data import (
 from fusion.report.field_export import export_fields
 from fusion.report.field_images import MOST_POINTS, decimate_points, field_page, overlay, scale_ends, value_scale
 from fusion.report.motion_figures import tracked_surface
-from fusion.report.recording_report import render_report, write_h5
+from fusion.report.recording_report import render_report
 from fusion.report.report_notices import FIELD_FOLDER_EXISTS, NO_FIELDS, NO_RESULTS
 from fusion.report.report_scene import evaluation_scene
-from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import displacement_jacobian
 from shaker.sine.phasor import Phasors
 
@@ -251,16 +250,10 @@ def test_no_images_no_section(demo_evaluation):
 
 
 @pytest.fixture(scope="module")
-def results(demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(demo_results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fields")
-    write_h5(folder / "result.h5", demo_evaluation, [])
+    assert main(["export", str(demo_results), "--fields", str(folder)]) == 0
     return folder
-
-
-@pytest.fixture(scope="module")
-def exported(results: Path) -> Path:
-    assert main(["export", str(results), "--fields", str(results / "out")]) == 0
-    return results / "out"
 
 
 def vtk_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -276,8 +269,8 @@ def vtk_arrays(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def test_results_hold_the_fields_of_the_evaluation(demo_evaluation, results):
-    with h5py.File(results / "result.h5") as file:
+def test_results_hold_the_fields_of_the_evaluation(demo_evaluation, demo_results):
+    with h5py.File(demo_results / "result.h5") as file:
         stored = read_pair_fields(file)
     for one, other in zip(pair_fields(demo_evaluation), stored, strict=True):
         for line in range(len(one.frequency_hz)):
@@ -328,7 +321,19 @@ def test_images_show_the_field_and_move(exported):
     assert (exported / "fields.txt").read_text(encoding="utf-8").count("pair ") == 2
 
 
-def test_an_export_replaces_only_its_files_and_only_by_force(results, exported, tmp_path, capsys):
+def with_pairs(results: Path, folder: Path, *imaged: str) -> Path:
+    """A copy of results in which only some pairs have an image."""
+    folder.mkdir(parents=True)
+    (folder / "result.h5").write_bytes((results / "result.h5").read_bytes())
+    with h5py.File(folder / "result.h5", "a") as file:
+        for pair in {*file["stereo"]} - {*imaged}:
+            del file[f"stereo/{pair}/first_image"]
+    return folder
+
+
+def test_an_export_replaces_only_its_files_and_only_by_force(demo_results, tmp_path, capsys):
+    results, exported = with_pairs(demo_results, tmp_path / "of" / "one"), tmp_path / "exported"
+    assert main(["export", str(results), "--fields", str(exported)]) == 0
     assert main(["export", str(results), "--fields", str(exported)]) == 2
     assert FIELD_FOLDER_EXISTS.code in capsys.readouterr().err
     for name in ("mine.txt", "top-notes.png"):
@@ -348,13 +353,10 @@ def test_an_export_replaces_only_its_files_and_only_by_force(results, exported, 
         main(["export", str(results)])
 
 
-def test_a_campaign_writes_the_fields_of_every_recording(results, tmp_path):
-    for name in ("one", "two"):
-        (tmp_path / "campaign" / name).mkdir(parents=True)
-        (tmp_path / "campaign" / name / "result.h5").write_bytes((results / "result.h5").read_bytes())
-    with h5py.File(tmp_path / "campaign" / "two" / "result.h5", "a") as file:
-        for pair in list(file["stereo"]):
-            del file[f"stereo/{pair}/first_image"]
+def test_a_campaign_writes_the_fields_of_every_recording(demo_results, tmp_path, monkeypatch):
+    monkeypatch.setattr("fusion.report.field_export.FRAMES", 2)
+    with_pairs(demo_results, tmp_path / "campaign" / "one", "top")
+    with_pairs(demo_results, tmp_path / "campaign" / "two")
     written = {path.name for path in export_fields(tmp_path / "campaign", tmp_path / "out")}
     assert "one-top-80.0002Hz-d-z.png" in written
     assert "two-top-80.0002Hz.vtp" in written
@@ -490,7 +492,9 @@ def test_paper_has_the_field_without_controls(opened):
 
 
 def test_without_programs_the_field_is_a_still_image(browser, page_file):
-    page = Page(browser, page_file, java_script_enabled=False)
-    assert page.page.locator(".fields img.still").first.is_visible()
-    assert not page.page.locator(".fields .controls").is_visible()
-    page.close()
+    plain = browser.new_context(java_script_enabled=False)
+    page = plain.new_page()
+    page.goto(page_file.as_uri())
+    assert page.locator(".fields img.still").first.is_visible()
+    assert not page.locator(".fields .controls").is_visible()
+    plain.close()

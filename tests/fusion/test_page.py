@@ -187,7 +187,7 @@ def test_a_logarithmic_axis_zooms_about_its_geometric_middle(browser, results):
 
 
 def test_a_figure_is_saved_as_svg_and_its_data_as_csv(browser, drawn):
-    opened = Page(browser, drawn, accept_downloads=True)
+    opened = Page(browser, drawn)
     figure = opened.draw("every")
     with opened.page.expect_download() as kept:
         figure.get_by_role("button", name="as a vector graphic").click()

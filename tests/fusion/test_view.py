@@ -122,13 +122,6 @@ def client(demo_recording: Path) -> Iterator[Client]:
         yield found
 
 
-@pytest.fixture(scope="module")
-def demo_results(demo_evaluation: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("viewed") / "Fz-0080"
-    write_results(demo_evaluation, folder)
-    return folder
-
-
 def test_only_who_knows_the_token_is_answered(client, demo_recording):
     assert client.server.server_address[0] == "127.0.0.1"
     assert client.raw(client.path)[0] == 200
@@ -313,6 +306,7 @@ def test_wrong_input_is_one_sentence(tmp_path, refused, demo_recording):
         assert f"{PORT_IN_USE.code} --port" in refused("view", demo_recording, "--no-browser", "--port", port)
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_results_find_their_recording(tmp_path, demo_recording, demo_evaluation, refused):
     """By its place, from another folder by the absolute path, both moved together by the relative one."""
     home = tmp_path / "home"
@@ -334,6 +328,7 @@ def test_results_find_their_recording(tmp_path, demo_recording, demo_evaluation,
     assert found[0].results == tmp_path / "elsewhere" / "results"
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_another_recording_at_the_same_place_is_not_taken(tmp_path, demo_recording, demo_evaluation):
     shutil.copytree(demo_recording, tmp_path / "campaign")
     manifest = load_manifest(tmp_path / "campaign" / "Fz-0080")
@@ -345,6 +340,7 @@ def test_another_recording_at_the_same_place_is_not_taken(tmp_path, demo_recordi
     assert error.value.code == RECORDING_MOVED.code
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_a_manifest_that_is_newer_than_the_results_is_named(tmp_path, demo_recording, demo_evaluation):
     shutil.copytree(demo_recording, tmp_path / "campaign")
     manifest = load_manifest(tmp_path / "campaign" / "Fz-0080")

@@ -23,7 +23,6 @@ from fusion.planning.planning_notices import RECORDING_CHANGED
 from fusion.recording.load import load_manifest
 from fusion.report.field_data import field_quantities, read_pair_fields
 from fusion.report.figure import PURPLE, SOURCE_COLOUR
-from fusion.report.recording_report import write_results
 from fusion.report.report_notices import OTHER_STRUCTURE
 from tests.fusion.test_view import served
 
@@ -50,13 +49,6 @@ def opened(browser: Any) -> Iterator[Callable[..., Any]]:
 @pytest.fixture
 def campaign(tmp_path: Path, demo_recording: Path) -> Path:
     return Path(shutil.copytree(demo_recording, tmp_path / "demo"))
-
-
-@pytest.fixture(scope="module")
-def results(demo_evaluation: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fields") / "Fz-0080"
-    write_results(demo_evaluation, folder)
-    return folder
 
 
 def seen(page: Any, side: str = "left") -> np.ndarray:
@@ -283,14 +275,14 @@ def probed(page: Any, x: float, y: float) -> re.Match[str]:
     return found
 
 
-def test_the_probe_shows_the_motion_of_the_results_in_every_frame(results, demo_recording, opened):
+def test_the_probe_shows_the_motion_of_the_results_in_every_frame(demo_results, demo_recording, opened):
     """The value is that of the stored phasors; the poses tracked frame by frame, which no line describes, agree."""
-    with h5py.File(results / "result.h5") as file:
+    with h5py.File(demo_results / "result.h5") as file:
         points, poses = file["stereo/top/subsets_px"][()], file["stereo/top/motion/pose"][()]
         reference, origin = file["stereo/top/deflection/reference_m"][()], file["stereo/top/motion/origin_m"][()]
     point = int(np.argmin(np.linalg.norm(points - [150, 120], axis=1)))
     tracked = poses[:, 2] + np.cross(poses[:, 3:], reference[point] - origin)[:, 2]
-    with served(results, demo_recording) as client:
+    with served(demo_results, demo_recording) as client:
         page = opened(client)
         shown = []
         for frame in (0, 3, 7, 15):
@@ -298,7 +290,7 @@ def test_the_probe_shows_the_motion_of_the_results_in_every_frame(results, demo_
             x, y, value, expanded = probed(page, *points[point]).groups()
             assert np.hypot(float(x) - points[point, 0], float(y) - points[point, 1]) < 1.0
             shown.append(1e-6 * float(value.replace("\N{MINUS SIGN}", "-")))
-            np.testing.assert_allclose(shown[-1], displacement_m(results, frame)[point], atol=0.06e-6)
+            np.testing.assert_allclose(shown[-1], displacement_m(demo_results, frame)[point], atol=0.06e-6)
             assert 0.1 < float(expanded) < 5.0
         np.testing.assert_allclose(np.diff(shown), np.diff(tracked[[0, 3, 7, 15]]), atol=0.01 * np.ptp(tracked))
         page.select_option("#field-view", "size")
@@ -310,10 +302,10 @@ def test_the_probe_shows_the_motion_of_the_results_in_every_frame(results, demo_
         assert page.evaluate("document.body.dataset.frame") == "15"
 
 
-def test_the_viewer_offers_the_quantities_of_the_report_over_both_images(results, demo_recording, opened):
-    with h5py.File(results / "result.h5") as file:
+def test_the_viewer_offers_the_quantities_of_the_report_over_both_images(demo_results, demo_recording, opened):
+    with h5py.File(demo_results / "result.h5") as file:
         (field,) = [one for one in read_pair_fields(file) if one.name == "top"]
-    with served(results, demo_recording) as client:
+    with served(demo_results, demo_recording) as client:
         page = opened(client)
         plain = [seen(page, side) for side in ("left", "right")]
         listed = page.evaluate(
@@ -346,8 +338,8 @@ def test_without_results_no_field_is_offered(demo_recording, opened):
         assert "error" in client.ask("field", pair=0, line=0)
 
 
-def test_unreadable_fields_are_named_and_the_images_are_shown(results, demo_recording, tmp_path, opened):
-    broken = shutil.copytree(results, tmp_path / "Fz-0080")
+def test_unreadable_fields_are_named_and_the_images_are_shown(demo_results, demo_recording, tmp_path, opened):
+    broken = shutil.copytree(demo_results, tmp_path / "Fz-0080")
     with h5py.File(broken / "result.h5", "a") as file:
         del file["stereo/top/subset_zncc"]
         file.create_group("stereo/top/subset_zncc")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from camera_faults import (
@@ -18,16 +20,24 @@ from camera_faults import (
     swing,
     turn,
 )
-from contracts import refused
+from contracts import refused, slow
 from speckle import PIXEL_M, camera
 
 from photogram.direct.surface import Patches, PlacedCamera, PlainShapes, patch_rates, warps_of_points
 from photogram.geometry import RigidTransform
 from photogram.images.noise import noise_notices
 from photogram.images.sequence import alternating_gain
+from photogram.measure.body import BodyMotion
+from shakercal._common.notices import Notice
 
 EVEN_COLUMNS = np.array([[1.0, 0.98]])
 MOSAIC = np.array([[1.0, 0.6], [0.5, 1.0]])
+
+
+@lru_cache
+def of_linear_sensor(amplitude_px: float, bits: int = 12) -> tuple[BodyMotion, list[Notice]]:
+    """What a linear sensor gives of a body that swings."""
+    return measured(sensed(light(swing(18, amplitude_px)), np.random.default_rng(6)), bits)
 
 
 def test_rates_after_a_motion_precede_its_warp():
@@ -56,7 +66,7 @@ def test_rates_after_a_motion_precede_its_warp():
         np.testing.assert_allclose((found - whole).reshape(-1, 2, 3), predicted, atol=1e-3 * np.abs(predicted).max())
 
 
-@pytest.mark.parametrize("device", ["cpu", "cpu:0"])
+@pytest.mark.parametrize("device", ["cpu", *slow("cpu:0")])
 def test_a_body_that_turns_by_15_degrees_between_frames_is_where_it_is(device):
     """Up to 165°. With the rates at rest, the mean of 8 series was 55 standard uncertainties off in z at 75° to 90°."""
     poses = turn(12, 15.0)
@@ -71,8 +81,8 @@ def test_a_body_that_turns_by_15_degrees_between_frames_is_where_it_is(device):
 @pytest.mark.parametrize("bits", [8, 12])
 def test_a_gamma_is_named_and_changes_no_motion(bits):
     poses = swing(18, 0.5)
-    linear, quiet = measured(sensed(light(poses), np.random.default_rng(5)), bits)
-    curved, notices = measured(gamma(0.45)(light(poses), np.random.default_rng(5)), bits)
+    linear, quiet = of_linear_sensor(0.5, bits)
+    curved, notices = measured(gamma(0.45)(light(poses), np.random.default_rng(6)), bits)
     assert quiet == []
     assert codes(notices) == {"SC-245"}
     assert all(notice.severity == "note" and 5.0 < notice.values["fall_percent"] < 20.0 for notice in notices)
@@ -85,7 +95,7 @@ def test_a_gamma_is_named_and_changes_no_motion(bits):
 def test_wells_that_are_full_below_full_scale_are_named_with_their_size(level, share, shortened):
     """The read noise hides the level from the histogram. A motion of 0.1 px becomes small by about what is said."""
     poses = swing(18, 0.1)
-    plain, _ = measured(sensed(light(poses), np.random.default_rng(6)), 12)
+    plain, _ = of_linear_sensor(0.1)
     full, notices = measured(full_wells(level)(light(poses), np.random.default_rng(6)), 12)
     said = [notice for notice in notices if notice.code == "SC-244"]
     assert [notice.where for notice in said] == ["left camera", "right camera"]
@@ -101,8 +111,8 @@ def test_wells_that_are_full_below_full_scale_are_named_with_their_size(level, s
 def test_rows_that_flicker_are_named_with_their_size(size, times):
     """The motion across the rows scatters more than its covariance says, that along the rows does not."""
     poses = swing(18, 0.5)
-    plain, quiet = measured(sensed(light(poses), np.random.default_rng(7)), 12)
-    body, notices = measured(flickering_rows(size)(light(poses), np.random.default_rng(7)), 12)
+    plain, quiet = of_linear_sensor(0.5)
+    body, notices = measured(flickering_rows(size)(light(poses), np.random.default_rng(6)), 12)
     said = [notice for notice in notices if notice.code == "SC-246"]
     assert quiet == []
     assert [notice.severity for notice in said] == ["note", "note"]
@@ -117,8 +127,8 @@ def test_rows_that_flicker_are_named_with_their_size(size, times):
 def test_even_and_odd_columns_or_rows_are_named_with_a_bound_of_their_effect_and_corrected(axis, component):
     poses = swing(18, 0.1)
     pattern = EVEN_COLUMNS if axis == 1 else EVEN_COLUMNS.T
-    plain, _ = measured(sensed(light(poses), np.random.default_rng(8)), 12)
-    signal = gains(pattern)(light(poses), np.random.default_rng(8))
+    plain, _ = of_linear_sensor(0.1)
+    signal = gains(pattern)(light(poses), np.random.default_rng(6))
     alternating, notices = measured(signal, 12, corrected=False)
     said = [notice for notice in notices if notice.code == "SC-247"]
     assert len(said) == 2

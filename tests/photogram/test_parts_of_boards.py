@@ -34,26 +34,24 @@ def part_of(view: TargetView, rng: np.random.Generator, size: tuple[int, int]) -
 
 @pytest.mark.parametrize("size", [(9, 6), (8, 6), (6, 6), (7, 7)])
 def test_a_part_gets_its_numbers_back_or_none(size):
-    """Of 16 random parts of each board none is numbered wrongly, up to the board's own symmetry, and most are."""
+    """Of eight random parts of each board none is numbered wrongly, up to the board's own symmetry, and most are."""
     rng, board = np.random.default_rng(sum(size)), Board(Target("chessboard", 9e-3, size))
-    counts = {"right": 0, "none": 0}
-    for _ in range(2):
-        rig = random_rig(rng, np.array([1280, 1024]), field_m=0.15)
-        for left, right in simulate_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.05):
-            is_left = bool(rng.integers(2))
-            part = part_of(left if is_left else right, rng, size)
-            found = number_partial(rig, board.target, *((part, right) if is_left else (left, part)))
-            numbered, truth = (found[0], left) if is_left else (found[1], right)
-            if numbered is None:
-                counts["none"] += 1
-                continue
-            where = {tuple(place): position for place, position in zip(truth.index, truth.position_px, strict=True)}
-            assert all(
-                np.array_equal(where[tuple(i)], p) for i, p in zip(numbered.index, numbered.position_px, strict=True)
-            )
-            assert not numbered.is_partial
-            counts["right"] += 1
-    assert counts["right"] >= 15
+    right_ones = 0
+    rig = random_rig(rng, np.array([1280, 1024]), field_m=0.15)
+    for left, right in simulate_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.05):
+        is_left = bool(rng.integers(2))
+        part = part_of(left if is_left else right, rng, size)
+        found = number_partial(rig, board.target, *((part, right) if is_left else (left, part)))
+        numbered, truth = (found[0], left) if is_left else (found[1], right)
+        if numbered is None:
+            continue
+        where = {tuple(place): position for place, position in zip(truth.index, truth.position_px, strict=True)}
+        assert all(
+            np.array_equal(where[tuple(i)], p) for i, p in zip(numbered.index, numbered.position_px, strict=True)
+        )
+        assert not numbered.is_partial
+        right_ones += 1
+    assert right_ones >= 7
 
 
 def test_parts_in_both_images_or_in_one_alone_stay_without_numbers():
