@@ -249,11 +249,11 @@ def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: 
     """Return the noise (N,), a standard deviation in grey values, that explains the residuals.
 
     The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images have white noise σ. κ is the variance
-    after interpolation (`noise_gain`), for g the mean over nine points of the subset. Shot noise is covered, since
+    after interpolation (`noise_gain`), for g the mean over nine pixels of the subset. Shot noise is covered, since
     every subset has a separate σ. A misfit of the affine warp counts as noise too. The smallest value is that of
     rounding.
     """
-    offsets = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
+    offsets = subset_offsets(1) * round(2.0 / 3.0 * reference.radius_px)
     gain: FloatArray = mean_noise_gain(np, reference.centre_px, found.warp[:, :6], offsets, noise_gain_table(degree))
     variance = found.residual_grey2 / (gain + found.gain**2 * reference.noise_gain)
     return np.sqrt(np.maximum(variance, QUANTISATION))

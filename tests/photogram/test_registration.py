@@ -103,6 +103,17 @@ def test_scatter_is_stated_and_near_the_bound(texture, image):
     assert np.mean(noises) == pytest.approx(noise, rel=0.03)
 
 
+@pytest.mark.parametrize("radius", [10, 11, 12])
+@pytest.mark.parametrize("shift", [0.0, 0.5])
+def test_the_noise_of_residuals_is_that_of_pixels_in_subsets_of_any_size(texture, image, radius, shift):
+    rng, noise = np.random.default_rng(18), 6.0
+    moved = grey(texture.image(SIZE, lambda p: p - shift))
+    reference, found = find(image + rng.normal(0, noise, SIZE[::-1]), moved + rng.normal(0, noise, SIZE[::-1]),
+                            radius=radius)  # fmt: skip
+    level = np.sqrt(np.mean(noise_of_residual(reference, found, 5) ** 2))
+    assert level == pytest.approx(noise, rel=4.0 / np.sqrt(2.0 * len(CENTRES) * (2 * radius + 1) ** 2))
+
+
 @settings(max_examples=15, deadline=None)
 @given(gain=st.floats(0.5, 1.8), offset=st.floats(-300, 300))
 def test_gain_and_offset_have_no_effect(gain, offset):
