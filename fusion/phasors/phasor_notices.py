@@ -516,3 +516,19 @@ TAKES_SCATTER = DeclaredNotice(
     remedy="Check for changes between takes.",
     link="signals.md",
 )
+FRAMES_FREE_RUNNING = DeclaredNotice(
+    "SC-957",
+    "warning",
+    "No trigger dates the frames: their motion determines {rate_hz:.8g} Hz (relative u {u_relative:.1e}), not when they began.",
+    effect="Magnitudes are valid. The phase relative to other instruments is unknown, and its U covers a whole turn.",
+    remedy="Use a strobe or an LED whose signal is recorded as the trigger, if the phase is required.",
+    link="one-camera.md#a-film-without-a-trigger",
+)
+FRAME_RATE_UNDETERMINED = DeclaredNotice(
+    "SC-958",
+    "error",
+    "expected a rate within 0.3 % that the motion determines, found {found}",
+    effect="Without a trigger, the beat of the driven line dates the frames.",
+    remedy="Record two periods of the beat or more, or state the rate of the film's own data.",
+    link="one-camera.md#a-film-without-a-trigger",
+)
