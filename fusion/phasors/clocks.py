@@ -178,9 +178,8 @@ def _with_frame_rate(
 
     Their start remains unknown within a period of the lowest line: a rectangular distribution (GUM 4.3.7).
     """
-    (daq, fit), stated = base.first_with(entry.trigger), manifest.excitation.direction
-    along = None if stated is None else np.pad(np.array(stated), (0, 6 - len(stated)))
-    seen = period_from_motion(base, [_driven(measured, along, lines) for measured in motions], lines)
+    daq, fit = base.first_with(entry.trigger)
+    seen = period_from_motion(base, [_at_near_rate(measured, lines) for measured in motions], lines)
     if seen is None:
         where = f"images.{entry.stereo}.frame_rate"
         raise InputError(FRAME_RATE_UNDETERMINED, manifest.path, where, found=f"{entry.frame_rate:g} Hz")
@@ -191,22 +190,24 @@ def _with_frame_rate(
     return replace(base, triggers={**base.triggers, (daq, entry.trigger): free})
 
 
-def _driven(measured: StereoMotion, along: FloatArray | None, lines: LineFrequencies) -> StereoMotion:
-    """Return the driven component of a motion at the frame rate, near the stated one, at which its line is largest.
+def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotion:
+    """Return the largest motion, as its first component, at the rate near the stated one at which its line is largest.
 
-    `along` (6,): its direction, by default the axis that moves most. Others may be unreliable before a rolling shutter
-    is corrected, and are zero.
+    With a rolling shutter no frame shows a rigid body: it is the first principal component of the subsets' positions.
     """
-    time_s, pose = measured.sight.time_s, measured.motion.pose
-    if along is None:
-        along = np.eye(6)[int(np.argmax(np.nanvar(pose[:, :3], axis=0)))]
-    driven, usable = pose @ along, np.isfinite(pose).all(axis=1)
+    time_s, series = measured.sight.time_s, measured.motion.pose[:, :3]
+    if any(measured.sight.pair.row_time) and measured.view is not None:
+        series = np.concatenate([block.left.position_px for block in measured.view.tracks]).reshape(len(time_s), -1)
+    usable = np.isfinite(measured.motion.pose).all(axis=1)
+    moved = np.nan_to_num(series[usable] - np.nanmean(series[usable], axis=0))
+    driven = np.full(len(time_s), np.nan)
+    driven[usable] = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
     middle, frequency_hz = float(time_s.mean()), float(lines.frequency_hz[0])
     step = RATE_STEP / (frequency_hz * float(np.ptp(time_s)))
     most = np.ceil(3.0 * U_FRAME_RATE / step)
     stretch = 1.0 + step * np.arange(-most, most + 1)
     turn = 2j * np.pi * frequency_hz * np.multiply.outer(stretch, time_s[usable] - middle)
-    best = stretch[np.argmax(np.abs(np.exp(-turn) @ (driven[usable] - driven[usable].mean())))]
+    best = stretch[np.argmax(np.abs(np.exp(-turn) @ driven[usable]))]
     sight = replace(measured.sight, time_s=middle + best * (time_s - middle))
     return replace(measured, sight=sight, motion=replace(measured.motion, pose=driven[:, None] * np.eye(6)[0]))
 

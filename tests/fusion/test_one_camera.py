@@ -126,7 +126,7 @@ def test_the_stated_surface_is_that_of_the_mean_pose_wherever_the_body_was_in_th
     poses = np.array([found.pose for found in fitted if found is not None])
     motion = RigidMotion(poses, np.tile(np.eye(6), (2, 1, 1)), np.zeros(2), np.full(2, 9), np.zeros(3))
     tracks: Any = SimpleNamespace(left=SimpleNamespace(position_px=at_first[None]))
-    view: Any = SimpleNamespace(rig=rig, tracks=[tracks])
+    view: Any = SimpleNamespace(rig=rig, tracks=[tracks], phase_rotated=None)
     sight: Any = SimpleNamespace(pair=PAIR)
     corrected = with_surface_at_rest(StereoMotion(sight, motion, (), np.nan, view, ()), mean.pose).motion.pose
     size = np.repeat(np.abs(true[1]).reshape(2, 3).max(axis=1), 3)
