@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, channels_of_same_times, fastest_channel, line_clock
-from fusion.phasors.phasor_notices import FRAME_RATE_UNDETERMINED, FRAMES_FREE_RUNNING, PERIODS_DISAGREE
+from fusion.phasors.phasor_notices import FRAMES_FREE_RUNNING, IMAGES_REFUSED, PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import U_FRAME_RATE, TimeBase, frame_sight
 from fusion.recording.load import Manifest
@@ -181,8 +181,9 @@ def _with_frame_rate(
     daq, fit = base.first_with(entry.trigger)
     seen = period_from_motion(base, [_at_near_rate(measured, lines) for measured in motions], lines)
     if seen is None:
-        where = f"images.{entry.stereo}.frame_rate"
-        raise InputError(FRAME_RATE_UNDETERMINED, manifest.path, where, found=f"{entry.frame_rate:g} Hz")
+        where, found = f"images.{entry.stereo}.frame_rate", f"{entry.frame_rate:g} Hz"
+        expected = "the rate within 0.3 %, and two periods of the beat of a driven line or more, which determine it"
+        raise InputError(IMAGES_REFUSED, manifest.path, where, found=found, expected=expected)
     u_start_s = 1.0 / (np.sqrt(12.0) * float(lines.frequency_hz.min()))
     start = nominal_trigger(fit.edges, seen[0], np.diag([u_start_s, seen[1]]) ** 2)
     notice = Notice(FRAMES_FREE_RUNNING, "frames", rate_hz=1.0 / seen[0], u_relative=seen[1] / seen[0])

@@ -524,11 +524,3 @@ FRAMES_FREE_RUNNING = DeclaredNotice(
     remedy="Use a strobe or an LED whose signal is recorded as the trigger, if the phase is required.",
     link="one-camera.md#a-film-without-a-trigger",
 )
-FRAME_RATE_UNDETERMINED = DeclaredNotice(
-    "SC-958",
-    "error",
-    "expected a rate within 0.3 % that the motion determines, found {found}",
-    effect="Without a trigger, the beat of the driven line dates the frames.",
-    remedy="Record two periods of the beat or more, or state the rate of the film's own data.",
-    link="one-camera.md#a-film-without-a-trigger",
-)

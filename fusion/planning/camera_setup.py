@@ -21,8 +21,8 @@ from fusion.recording.values import (
     ZERO3,
     Direction,
     ManifestBlock,
-    Positive,
     Position,
+    Positive,
     Share,
     Version,
     refusal,
@@ -211,7 +211,9 @@ def relative_expanded_uncertainty(setup: CameraSetup, covariance: FloatArray) ->
     assert setup.acceleration is not None
     along = np.array(setup.direction)
     u_m = sqrt(float(along @ covariance[:3, :3] @ along) * 2.0 / setup.frames)
-    return COVERAGE * float(np.hypot((2.0 * pi * setup.frequency) ** 2 * u_m / setup.acceleration, setup.scale_uncertainty))
+    return COVERAGE * float(
+        np.hypot((2.0 * pi * setup.frequency) ** 2 * u_m / setup.acceleration, setup.scale_uncertainty)
+    )
 
 
 def _motion(setup: CameraSetup, found: SetupEstimate) -> Iterator[list[list[str]]]:
