@@ -2,8 +2,8 @@
 
     python benchmarks/one_camera.py [--draws 24] [--only films NAME ...] [--write PAGE]
 
-Every draw is a rendered recording with all stated uncertainties sampled (`one_camera_render.py`), and evaluated from its
-files.
+Every draw is a rendered recording with all stated uncertainties sampled (`one_camera_render.py`), and evaluated
+from its files.
 """
 
 from __future__ import annotations

@@ -82,9 +82,8 @@ def rotation(vector: FloatArray) -> FloatArray:
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    return np.asarray(
-        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / 2 / np.pi) ** 2 * cross @ cross
-    )
+    second = 0.5 * np.sinc(angle / 2 / np.pi) ** 2 * cross @ cross
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + second)
 
 
 class World:
@@ -123,7 +122,7 @@ class World:
     def image(self, middle_s: float) -> NDArray[np.uint16]:
         """Return a frame; the exposure of its rows follows one after the other."""
         case, size = self.case, self.case.size_px
-        motion = self.poses(middle_s + case.row_s * np.arange(size))
+        motion = self.poses(np.asarray(middle_s + case.row_s * np.arange(size), dtype=np.float64))
         back = np.swapaxes(rotation(motion[:, 3:]), 1, 2)  # of each row
         turn, place = self.pose
         pixel = (np.arange(size) - (size - 1) / 2.0) / self.focal_px
@@ -137,7 +136,7 @@ class World:
         _texture(u, v, self.waves, self.phase, case.half_m, 3.0 * blur, case.contrast, grey)
         full = 2**case.bits - 1
         noisy = full * (self.gain * grey + case.noise * self.rng.standard_normal(grey.shape))
-        return np.clip(np.rint(noisy), 0, full).astype(np.uint16)
+        return np.asarray(np.clip(np.rint(noisy), 0, full), dtype=np.uint16)
 
 
 def write_recording(folder: Path, case: Case, seed: int) -> World:

@@ -259,8 +259,8 @@ class Polar:
         A turn by any angle makes it a disc. If the magnitude is determined, the origin does not belong to it.
         """
         found = region(complex(self.re, self.im), self.region_matrix)
-        turned = self.u_phase_rad >= UNIFORM_PHASE_U and self.expanded_magnitude < self.magnitude
-        return replace(found, holds_zero=False) if turned else found
+        any_phase = self.u_phase_rad >= UNIFORM_PHASE_U and self.expanded_magnitude < self.magnitude
+        return replace(found, holds_zero=False) if any_phase else found
 
     @property
     def region_factor(self) -> float:

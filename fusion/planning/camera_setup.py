@@ -51,8 +51,8 @@ Pair = Annotated[tuple[Positive, Positive], BeforeValidator(vector(2))]
 class CameraSetup(ManifestBlock):
     """Data sheets and distances of a symmetric stereo pair, of one camera, or of both, in SI units.
 
-    Vectors are in face axes: x to the right, y up, z out of the face. `view_angle`: of one camera, turned about y as those of a pair.
-    `origin`: of the sensor, from the centre of the face. `direction`: of the excitation.
+    Vectors are in face axes: x to the right, y up, z out of the face. `view_angle`: of one camera, turned
+    about y as those of a pair. `origin`: of the sensor, from the centre of the face. `direction`: of the excitation.
     """
 
     format: Version = 1
@@ -154,8 +154,8 @@ def estimate_setup(setup: CameraSetup) -> SetupEstimate:
         density = -ray[:, 2] * setup.distance**2 / (-ray @ eye) ** 3  # pixels over those of a face across the view
         along = np.broadcast_to(np.eye(3)[:2], (len(points), 2, 3)).copy()
         along[:, :, 2] = -ray[:, :2] / ray[:, 2:]
-        turned = np.stack([-skew(arm) for arm in points - np.array(setup.origin)])
-        rates = along @ np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
+        by_rotation = np.stack([-skew(arm) for arm in points - np.array(setup.origin)])
+        rates = along @ np.concatenate([np.broadcast_to(np.eye(3), by_rotation.shape), by_rotation], axis=2)
         return np.asarray(per_pixel * used_px / len(points) * np.einsum("n,nip,niq->pq", density, rates, rates))
 
     return SetupEstimate(

@@ -398,9 +398,9 @@ class Images(Frames):
     """Image sequences of the cameras of a stereo pair, in natural order.
 
     `right` is empty for a single camera. Without a trigger, `frame_rate` dates the frames, and `trigger` is the name of
-    their free-running clock, whose start is unknown. Subsets are inside the `region` of the first left image, outside every `mask`:
-    x, y, width, height or the corners of a polygon, in px. `displaced_left`, `displaced_right`: further images of the
-    body at other places.
+    their free-running clock, whose start is unknown. Subsets are inside the `region` of the first left image, outside
+    every `mask`: x, y, width, height or the corners of a polygon, in px. `displaced_left`, `displaced_right`: further
+    images of the body at other places.
     """
 
     left: ExistingFiles

@@ -304,7 +304,7 @@ def nominal_trigger(edges: int, period_s: float, covariance: FloatArray | None =
     `covariance` (2, 2): of start and period, s².
     """
     number = np.arange(edges)
-    time_s: FloatArray = number * period_s
+    time_s = np.asarray(number * period_s, dtype=np.float64)
     return TriggerFit(
         start_s=0.0,
         period_s=period_s,
