@@ -1,4 +1,4 @@
-"""One camera before a known face: what it reaches, and what `shakercal plan --setup` says before.
+"""One camera before a known face: its U, and that of `shakercal plan --setup`.
 
     python benchmarks/one_camera.py [--draws 24] [--only films NAME ...] [--write PAGE]
 
@@ -69,7 +69,7 @@ def magnitude(case: Case, seed: int) -> tuple[float, float]:
 
 
 def reached(case: Case, draws: int) -> str:
-    """Return the row of a case: plan, stated U, scatter and coverage of the sensitivity's magnitude."""
+    """Return the row of a case: plan, stated U, scatter and coverage of the magnitude."""
     setup = setup_of(case)
     planned = relative_expanded_uncertainty(setup, estimate_setup(setup).covariance["one camera"])
     error, size = np.array([magnitude(case, seed) for seed in range(draws)]).T

@@ -1,4 +1,4 @@
-"""Recordings of one camera with known truth: an analytic texture through a pinhole, written as files.
+"""Recordings of one camera with known truth, as files.
 
 It shares no code with the estimator: the pattern is a sum of plane waves in closed form, and rays meet the moved plane.
 """
@@ -27,7 +27,10 @@ FACES = {  # centre, then the axes x, y and the normal as columns, in the sensor
 
 @dataclass(frozen=True)
 class Case:
-    """A camera, its place, its light and the motion; `turn_deg`: of the view from the face's normal, about its y."""
+    """A camera, its place, its light and the motion.
+
+    `turn_deg`: of the view from the face's normal, about its y.
+    """
 
     name: str
     face: str = "side"
@@ -63,7 +66,7 @@ class Case:
 
 @njit
 def _texture(u, v, waves, phase, half, blur, contrast, grey):  # type: ignore[no-untyped-def]
-    """Fill grey with the pattern at points of the face, whose contrast ends at its rim."""
+    """Fill grey with the pattern, whose contrast ends at the rim."""
     size = contrast * np.sqrt(2.0 / len(phase))
     for i in range(u.shape[0]):
         for j in range(u.shape[1]):
@@ -77,7 +80,7 @@ def _texture(u, v, waves, phase, half, blur, contrast, grey):  # type: ignore[no
 
 
 def rotation(vector: FloatArray) -> FloatArray:
-    """Return rotation matrices (..., 3, 3) of small or large vectors (..., 3) by Rodrigues' formula."""
+    """Return rotation matrices (..., 3, 3) of vectors (..., 3) by Rodrigues' formula."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
@@ -114,7 +117,7 @@ class World:
         self.waves, self.phase = np.ascontiguousarray(waves @ spread), 2.0 * np.pi * self.rng.random(WAVES)
 
     def poses(self, time_s: FloatArray) -> FloatArray:
-        """Return the motion (..., 6) of the sensor origin, mean over an exposure about these times."""
+        """Return the mean motion (..., 6) of the sensor origin over exposures."""
         omega = 2.0 * np.pi * self.frequency_hz
         phasor = -self.acceleration / omega**2 * np.sinc(self.frequency_hz * self.case.exposure_s)
         return np.asarray(np.real(phasor * np.exp(1j * omega * time_s[..., None])))

@@ -174,7 +174,7 @@ def tie_clocks_by_motion(
 def _with_frame_rate(
     manifest: Manifest, base: TimeBase, entry: Images, motions: Sequence[StereoMotion], lines: LineFrequencies
 ) -> TimeBase:
-    """Return a time base in which the motion determines the period of frames without a trigger.
+    """Return clocks in which the motion determines the period of frames without a trigger.
 
     Their start remains unknown within a period of the lowest line: a rectangular distribution (GUM 4.3.7).
     """
@@ -192,9 +192,10 @@ def _with_frame_rate(
 
 
 def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotion:
-    """Return the largest motion, as its first component, at the rate near the stated one at which its line is largest.
+    """Return the largest motion, as its first component, at a better frame rate.
 
-    With a rolling shutter no frame shows a rigid body: it is the first principal component of the subsets' positions.
+    It is the rate near the stated one at which the first line is largest. With a rolling shutter no frame shows a rigid
+    body: the motion is the first principal component of the subsets' positions.
     """
     time_s, series = measured.sight.time_s, measured.motion.pose[:, :3]
     if any(measured.sight.pair.row_time) and measured.view is not None:

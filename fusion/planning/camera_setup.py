@@ -1,4 +1,4 @@
-"""Stereo pair or single camera from its data sheet: field of view, depth of field, noise, uncertainty.
+"""Stereo pair or single camera from its data sheet: optics, noise, uncertainty.
 
 Thin lens and geometric optics; the noise is the Cramér–Rao bound of the motion of a speckled face.
 """
@@ -49,9 +49,9 @@ Pair = Annotated[tuple[Positive, Positive], BeforeValidator(vector(2))]
 
 
 class CameraSetup(ManifestBlock):
-    """Data sheets and distances of a symmetric stereo pair, of one camera, or of both, in SI units.
+    """Data sheets and distances of a stereo pair, one camera, or both.
 
-    Vectors are in face axes: x to the right, y up, z out of the face. `view_angle`: of one camera, turned
+    In SI units. Vectors are in face axes: x to the right, y up, z out of the face. `view_angle`: of one camera, turned
     about y as those of a pair. `origin`: of the sensor, from the centre of the face. `direction`: of the excitation.
     """
 
@@ -203,7 +203,7 @@ def _optics(found: SetupEstimate) -> Iterator[tuple[str, str, str]]:
 
 
 def relative_expanded_uncertainty(setup: CameraSetup, covariance: FloatArray) -> float:
-    """Return U (95 %) of a magnitude of acceleration or sensitivity over it, by image noise and scale.
+    """Return the relative U (95 %) of the sensitivity by image noise and scale.
 
     A part of an amplitude from N frames has u·√(2/N). It needs `frequency` and `acceleration`.
     """
@@ -217,7 +217,7 @@ def relative_expanded_uncertainty(setup: CameraSetup, covariance: FloatArray) ->
 
 
 def _motion(setup: CameraSetup, found: SetupEstimate) -> Iterator[list[list[str]]]:
-    """Yield sections of rows: noise of a frame, of an amplitude, U of the acceleration and of the sensitivity."""
+    """Yield sections of rows: u of a frame and an amplitude, U of accelerations and sensitivity."""
     u = 1e9 * np.array([np.sqrt(np.diagonal(covariance)) for covariance in found.covariance.values()]).T
     amplitude = sqrt(2.0 / setup.frames)
 

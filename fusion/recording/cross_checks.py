@@ -195,7 +195,7 @@ def _trigger_errors(block: SetUpFiles, triggers: set[str], prefix: str, path: Pa
 def _free_running_errors(
     block: SetUpFiles, located: list[LocatedChannel], rig: Rig, prefix: str, path: Path
 ) -> Iterator[InputError]:
-    """Yield errors of frames without a trigger whose phase another instrument of the body would contradict."""
+    """Yield errors of frames without a trigger whose body another instrument measures."""
     frames = [*block.images, *block.points]
     for images in (images for images in block.images if images.frame_rate is not None):
         body, key = rig.stereo[images.stereo].body, f"{prefix}images.{quote_key(images.stereo)}.frame_rate"

@@ -299,9 +299,9 @@ NOMINAL_INTERVAL_S = 1e-9
 
 
 def nominal_trigger(edges: int, period_s: float, covariance: FloatArray | None = None) -> TriggerFit:
-    """Return a trigger of even edges from 0 s on that no channel recorded, by default exact.
+    """Return a trigger of even edges that no channel recorded.
 
-    `covariance` (2, 2): of start and period, s².
+    From 0 s on, by default exact. `covariance` (2, 2): of start and period, s².
     """
     number = np.arange(edges)
     time_s = np.asarray(number * period_s, dtype=np.float64)
