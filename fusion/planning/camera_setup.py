@@ -217,7 +217,7 @@ def relative_expanded_uncertainty(setup: CameraSetup, covariance: FloatArray) ->
 
 
 def _motion(setup: CameraSetup, found: SetupEstimate) -> Iterator[list[list[str]]]:
-    """Yield sections of rows: u of a frame and an amplitude, U of accelerations and sensitivity."""
+    """Yield sections of rows: noise, then U of accelerations and sensitivity."""
     u = 1e9 * np.array([np.sqrt(np.diagonal(covariance)) for covariance in found.covariance.values()]).T
     amplitude = sqrt(2.0 / setup.frames)
 
