@@ -201,7 +201,8 @@ def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotio
     if any(measured.sight.pair.row_time) and measured.view is not None:
         series = np.concatenate([block.left.position_px for block in measured.view.tracks]).reshape(len(time_s), -1)
     usable = np.isfinite(measured.motion.pose).all(axis=1)
-    moved = np.nan_to_num(series[usable] - np.nanmean(series[usable], axis=0))
+    moved = np.nan_to_num(series[usable] - series[0])
+    moved -= moved.mean(axis=0)
     driven = np.full(len(time_s), np.nan)
     driven[usable] = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
     middle, frequency_hz = float(time_s.mean()), float(lines.frequency_hz[0])

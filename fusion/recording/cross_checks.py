@@ -205,6 +205,9 @@ def _free_running_errors(
             if other is not images and rig.stereo[other.stereo].body == body
         ]
         others += [entry.name for _, _, entry in located if entry.quantity in TRANSDUCERS and entry.body == body]
+        if not block.daq:
+            expected = "a recorder, whose channels determine the frequency of the motion"
+            yield _error(MISSING_KEY, path, f"{prefix}daq", "no such key", expected)
         if others:
             expected = f"a trigger, because {others[0]} measures the phase of the {body} too"
             yield _error(KEY_NOT_APPLICABLE, path, key, f"{images.frame_rate:g} Hz", expected)
