@@ -59,7 +59,8 @@ def stereo_geometry() -> Figure:
     angles = np.arange(6.0, 91.0, 2.0)
     sheet: dict[str, Any] = {"format": 1, "pixel": 3.45e-6, "image": [2448, 2048], "focal_length": 50e-3}
     sheet |= {"distance": 0.6, "f_number": 8, "face": [0.06, 0.06], "contrast": 0.2, "noise": 0.006}
-    noise = [estimate_setup(CameraSetup(**sheet, stereo_angle=float(angle))).noise_m for angle in angles]
+    found = [estimate_setup(CameraSetup(**sheet, stereo_angle=float(angle))).covariance["a pair"] for angle in angles]
+    noise = [np.sqrt(np.diagonal(covariance))[:3] for covariance in found]
     for values, name, colour in zip(
         1e9 * np.array(noise).T, ("x", "y", "z, along the view"), (BLUE, GREEN, RED), strict=True
     ):
@@ -68,7 +69,7 @@ def stereo_geometry() -> Figure:
     chart.text(27.5, 12, "advised", ha="center", color=GREEN, fontsize=8)
     chart.set_yticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
     chart.minorticks_off()
-    chart.set(xlabel="stereo angle α in degrees", ylabel="noise of a frame in nm", title="x: 1/cos(α/2), z: 1/sin(α/2)")
+    chart.set(xlabel="stereo angle α in degrees", ylabel="noise of a frame in nm", title="z over y: cot(α/2)")
     chart.legend(loc="upper right")
     return figure
 
@@ -253,6 +254,45 @@ def single_camera_motions() -> Figure:
     return figure
 
 
+def one_camera_views() -> Figure:
+    """Draw places of one camera before a load, and u of the vertical motion over the angle of its view."""
+    figure, (scene, chart) = new_figure(3.0, 1, 2, width_ratios=[1.0, 1.25])
+    blank(scene, (-6.5, 9.0), (-10.5, 4.5))
+    scene.add_patch(Rectangle((-2, -2), 4, 4, facecolor="#e5e7eb", edgecolor=GREY))
+    scene.plot([-2, 2], [-2, -2], color="black", linewidth=3)
+    scene.text(0, 2.4, "load, seen from above", ha="center", fontsize=8)
+    scene.plot(0, 0, "o", color=RED, markersize=4)
+    scene.text(0.3, -0.5, "axis", color=RED, fontsize=8)
+    scene.text(-2.2, -2.1, "face", ha="right", fontsize=8)
+    face, turn = np.array([0.0, -2.0]), np.radians(35.0)
+    for angle, name, colour in ((0.0, "across", ORANGE), (turn, "turned by β", BLUE)):
+        place = face + 7.0 * np.array([np.sin(angle), -np.cos(angle)])
+        scene.plot([face[0], place[0]], [face[1], place[1]], color=colour, linewidth=0.9, linestyle="--")
+        camera_shape(scene, place, face, 0.8)
+        scene.text(place[0] + 1.0, place[1], name, fontsize=8, color=colour)
+    arc = np.linspace(0.0, turn, 20)
+    scene.plot(4 * np.sin(arc), -2 - 4 * np.cos(arc), color=GREEN)
+    scene.text(1.1, -6.6, "β", color=GREEN)
+    sheet: dict[str, Any] = {"format": 1, "pixel": 3.45e-6, "image": [2448, 2048], "focal_length": 50e-3}
+    sheet |= {"distance": 0.6, "f_number": 8, "face": [0.06, 0.06], "contrast": 0.2, "noise": 0.006}
+    side, above, angles = {"origin": (0.0, -0.03, -0.04)}, {}, np.arange(0.0, 61.0, 2.5)
+    for place, axis, name, colour in (
+        (side, 1, "face at the side", BLUE),
+        (above, 2, "face above, on the axis", ORANGE),
+    ):
+        found = [estimate_setup(CameraSetup(**sheet, **place, view_angle=float(a))).covariance for a in angles]
+        values = [1e9 * float(np.sqrt(one["one camera"][axis, axis])) for one in found]
+        chart.semilogy(angles, values, color=colour, label=name)
+        pair = estimate_setup(CameraSetup(**sheet, **place, stereo_angle=25.0)).covariance["a pair"]
+        chart.axhline(1e9 * float(np.sqrt(pair[axis, axis])), color=colour, linestyle=":", linewidth=1.1)
+    chart.set_yticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+    chart.minorticks_off()
+    chart.set(xlabel="angle β of the view in degrees", ylabel="u of the vertical motion\nof a frame in nm")
+    chart.set_title("dotted: pairs of 25°")
+    chart.legend(loc="upper right", fontsize=8)
+    return figure
+
+
 def camera_arrangements() -> Figure:
     """Draw the bounds of the arrangements of cameras in the table of docs/cameras-per-body.md."""
     rows = marked_table("cameras-per-body.md", "arrangements")
@@ -340,6 +380,7 @@ DRAWINGS = (
     frames_of_edges,
     alignment_evidence,
     single_camera_motions,
+    one_camera_views,
     camera_arrangements,
     stationary_surface,
     support_shake,

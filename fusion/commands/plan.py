@@ -75,7 +75,7 @@ def _plan_options(parser: Parser) -> None:
     level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
     level.add_argument("--acceleration", type=positive, metavar="M/S2", help="acceleration amplitude of the excitation")
     parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
-    text = "field of view, depth of field and noise of a stereo pair from its data sheet (docs/practice.md)"
+    text = "field of view, depth of field, noise and U of a pair or one camera from its data sheet (docs/practice.md)"
     parser.value("--setup", path, "SETUP.toml", text)
     parser.set_defaults(usage_error=parser.error)
     parser.figure_and_table("draw condition over camera rate", "write the plan as a table")

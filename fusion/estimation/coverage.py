@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -254,8 +254,13 @@ class Polar:
 
     @property
     def region(self) -> CoverageRegion:
-        """Return the 95 % region of the complex value."""
-        return region(complex(self.re, self.im), self.region_matrix)
+        """Return the 95 % region of the complex value.
+
+        A turn by any angle makes it a disc. If the magnitude is determined, the origin does not belong to it.
+        """
+        found = region(complex(self.re, self.im), self.region_matrix)
+        any_phase = self.u_phase_rad >= UNIFORM_PHASE_U and self.expanded_magnitude < self.magnitude
+        return replace(found, holds_zero=False) if any_phase else found
 
     @property
     def region_factor(self) -> float:

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion.errors import InputError
 from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, channels_of_same_times, fastest_channel, line_clock
-from fusion.phasors.phasor_notices import PERIODS_DISAGREE
+from fusion.phasors.phasor_notices import FRAMES_FREE_RUNNING, IMAGES_REFUSED, PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
-from fusion.phasors.timing import TimeBase, frame_sight
+from fusion.phasors.timing import U_FRAME_RATE, TimeBase, frame_sight
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.transducer import STATIONARY, TRANSDUCERS
@@ -21,7 +22,7 @@ from shaker.sine.aliasing import alias_frequency
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
-from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit
+from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit, nominal_trigger
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
@@ -30,6 +31,8 @@ UNCERTAIN_SAMPLES, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
 MIN_IMPROVEMENT = 0.5
 """Largest u of another period, over that by edges, for it to be used (chosen)."""
 
+RATE_STEP = 0.2
+"""Turns of a line over the record from one frame rate to the next of a search (chosen)."""
 TURN = 0.01
 """Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
 U_SHARED_FREQUENCY = 1e-8
@@ -145,12 +148,15 @@ def tie_clocks_by_motion(
     edges that pass a sample determine the instants of all, and with them the ties. Phases determine no instants: the
     phase of the outputs is the measurand, and the fusion compares delays of cameras and other instruments on one body.
     A period that contradicts the edges is reported and changes no clock. Without an uncertain period the same objects
-    are returned.
+    are returned. Frames without a trigger have no edges: the motion alone determines their period.
     """
-    tied = base
+    tied, free = base, {entry.trigger: entry for entry in manifest.images if entry.frame_rate is not None}
     for trigger in dict.fromkeys(measured.sight.exposure.trigger for measured in motions):
         of_trigger = [measured for measured in motions if measured.sight.exposure.trigger == trigger]
-        tied, lines = _refined(tied, of_trigger, lines, trigger)
+        if trigger in free:
+            tied = _with_frame_rate(manifest, tied, free[trigger], of_trigger, lines)
+        else:
+            tied, lines = _refined(tied, of_trigger, lines, trigger)
     if tied is base:
         return base, tuple(motions), lines
     entries: dict[str, Images | PointFiles] = {entry.stereo: entry for entry in manifest.images}
@@ -163,6 +169,50 @@ def tie_clocks_by_motion(
         sight = replace(sight, time_s=renewed_sight.time_s, model_share=renewed_sight.model_share)
         renewed.append(replace(measured, sight=sight))
     return tied, tuple(renewed), lines
+
+
+def _with_frame_rate(
+    manifest: Manifest, base: TimeBase, entry: Images, motions: Sequence[StereoMotion], lines: LineFrequencies
+) -> TimeBase:
+    """Return clocks in which the motion determines the period of frames without a trigger.
+
+    Their start remains unknown within a period of the lowest line: a rectangular distribution (GUM 4.3.7).
+    """
+    daq, fit = base.first_with(entry.trigger)
+    seen = period_from_motion(base, [_at_near_rate(measured, lines) for measured in motions], lines)
+    if seen is None:
+        where, found = f"images.{entry.stereo}.frame_rate", f"{entry.frame_rate:g} Hz"
+        expected = "the rate within 0.3 %, and two periods of the beat of a driven line or more, which determine it"
+        raise InputError(IMAGES_REFUSED, manifest.path, where, found=found, expected=expected)
+    u_start_s = 1.0 / (np.sqrt(12.0) * float(lines.frequency_hz.min()))
+    start = nominal_trigger(fit.edges, seen[0], np.diag([u_start_s, seen[1]]) ** 2)
+    notice = Notice(FRAMES_FREE_RUNNING, "frames", rate_hz=1.0 / seen[0], u_relative=seen[1] / seen[0])
+    free = replace(start, known_period_s=seen, notices=(notice,))
+    return replace(base, triggers={**base.triggers, (daq, entry.trigger): free})
+
+
+def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotion:
+    """Return the largest motion, as its first component, at a better frame rate.
+
+    It is the rate near the stated one at which the first line is largest. With a rolling shutter no frame shows a rigid
+    body: the motion is the first principal component of the subsets' positions.
+    """
+    time_s, series = measured.sight.time_s, measured.motion.pose[:, :3]
+    if any(measured.sight.pair.row_time) and measured.view is not None:
+        series = np.concatenate([block.left.position_px for block in measured.view.tracks]).reshape(len(time_s), -1)
+    usable = np.isfinite(measured.motion.pose).all(axis=1)
+    moved = np.nan_to_num(series[usable] - series[0])
+    moved -= moved.mean(axis=0)
+    driven = np.full(len(time_s), np.nan)
+    driven[usable] = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
+    middle, frequency_hz = float(time_s.mean()), float(lines.frequency_hz[0])
+    step = RATE_STEP / (frequency_hz * float(np.ptp(time_s)))
+    most = np.ceil(3.0 * U_FRAME_RATE / step)
+    stretch = 1.0 + step * np.arange(-most, most + 1)
+    turn = 2j * np.pi * frequency_hz * np.multiply.outer(stretch, time_s[usable] - middle)
+    best = stretch[np.argmax(np.abs(np.exp(-turn) @ driven[usable]))]
+    sight = replace(measured.sight, time_s=middle + best * (time_s - middle))
+    return replace(measured, sight=sight, motion=replace(measured.motion, pose=driven[:, None] * np.eye(6)[0]))
 
 
 def nearly_locked(fit: TriggerFit) -> bool:

@@ -243,7 +243,11 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
     answer = np.linalg.lstsq(true / scale, stated, rcond=None)[0] / scale[:, None]
     motion = measured.motion
     covariance = answer @ motion.covariance @ answer.T
-    return replace(measured, motion=replace(motion, pose=motion.pose @ answer.T, covariance=covariance))
+    if view.phase_rotated is not None:
+        response = view.phase_rotated.response.copy()
+        response[:, :, :6] = response[:, :, :6] @ np.linalg.inv(answer)
+        view = replace(view, phase_rotated=replace(view.phase_rotated, response=response))
+    return replace(measured, view=view, motion=replace(motion, pose=motion.pose @ answer.T, covariance=covariance))
 
 
 def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:

@@ -516,3 +516,12 @@ TAKES_SCATTER = DeclaredNotice(
     remedy="Check for changes between takes.",
     link="signals.md",
 )
+FRAMES_FREE_RUNNING = DeclaredNotice(
+    "SC-957",
+    "warning",
+    "No trigger dates the frames: their motion determines the rate, {rate_hz:.8g} Hz (relative u {u_relative:.1e}), "
+    "but not when they began.",
+    effect="Magnitudes are valid. The phase relative to other instruments is unknown, and its U covers a whole turn.",
+    remedy="Use a strobe or an LED whose signal is recorded as the trigger, if the phase is required.",
+    link="one-camera.md#a-film-without-a-trigger",
+)

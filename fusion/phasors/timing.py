@@ -33,7 +33,7 @@ from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from photogram.images.sequence import FrameNumbers
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
-from shaker.timebase.trigger import PulseWidth, TriggerFit
+from shaker.timebase.trigger import PulseWidth, TriggerFit, nominal_trigger
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice, Value
 
@@ -327,7 +327,7 @@ class TimeBase:
         clocks, pulses = [], self.pulse_widths()
         for record in self.records:
             name = record.entry.name
-            key = next((key for key in self.triggers if key[0] == name), ("", ""))
+            key = next((key for key in self.triggers if key[0] == name and key[1] in record.raw), ("", ""))
             pulse = pulses.get(key)
             width, u_width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
             trigger, tie = self.triggers.get(key), self.ties[name]
@@ -351,6 +351,10 @@ def _offset_rate_errors(
     return tuple(error for error in both if error.u > 0.0)
 
 
+U_FRAME_RATE, MOST_FREE_FRAMES = 1e-3, 2**17
+"""Relative standard uncertainty of a stated `frame_rate` before the motion determines it, and most frames (chosen)."""
+
+
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     """Find all trigger edges, and tie every clock to the first by a shared trigger."""
     base, *others = records
@@ -361,6 +365,9 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
             with as_input_error(record.entry.file, channel.name):
                 fit = record.fit_trigger(channel)
             triggers[record.entry.name, channel.name] = fit.delay_by(record.lag_s(channel.name) - channel.delay)
+    for entry in (entry for entry in manifest.images if entry.frame_rate is not None):
+        covariance = np.diag([0.0, (U_FRAME_RATE / entry.frame_rate) ** 2])
+        triggers[first, entry.trigger] = nominal_trigger(MOST_FREE_FRAMES, 1.0 / entry.frame_rate, covariance)
     ties: dict[str, ClockTie | None] = {first: None}
     time_base = TimeBase(tuple(records), triggers, ties)
     for other in others:

@@ -26,7 +26,7 @@ from fusion.recording.recording_notices import (
 )
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quote_key
-from fusion.recording.transducer import HEAD, STATIONARY
+from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.values import describe, repeated_name
 from shakercal._common.notices import DeclaredNotice
 
@@ -60,6 +60,7 @@ def find_contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: P
         yield from _trigger_errors(
             block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path
         )
+        yield from _free_running_errors(block, located, rig, prefix, path)
         yield from _output_errors(located, path, rig, rig_path)
     for key, daq, entry in (item for located in channels for item in located):
         aim = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == SCAN else aim_contradiction(entry)
@@ -181,7 +182,7 @@ def _trigger_errors(block: SetUpFiles, triggers: set[str], prefix: str, path: Pa
     """Yield errors of frames without a trigger channel, or with two blocks per pair."""
     kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
     for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):
-        if frames.trigger not in triggers:
+        if frames.trigger not in triggers and getattr(frames, "frame_rate", None) is None:
             found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
             expected = 'the name of a channel with quantity = "trigger"'
             yield _error(UNKNOWN_NAME, path, f"{prefix}{kind}.{quote_key(frames.stereo)}.trigger", found, expected)
@@ -189,6 +190,27 @@ def _trigger_errors(block: SetUpFiles, triggers: set[str], prefix: str, path: Pa
     if twice is not None:
         key, expected = f"{prefix}images.{quote_key(twice)}.stereo", "one images or points block per stereo pair"
         yield _error(REPEATED_NAME, path, key, f'two blocks for "{twice}"', expected)
+
+
+def _free_running_errors(
+    block: SetUpFiles, located: list[LocatedChannel], rig: Rig, prefix: str, path: Path
+) -> Iterator[InputError]:
+    """Yield errors of frames without a trigger whose body another instrument measures."""
+    frames = [*block.images, *block.points]
+    for images in (images for images in block.images if images.frame_rate is not None):
+        body, key = rig.stereo[images.stereo].body, f"{prefix}images.{quote_key(images.stereo)}.frame_rate"
+        others = [
+            f"stereo {other.stereo}"
+            for other in frames
+            if other is not images and rig.stereo[other.stereo].body == body
+        ]
+        others += [entry.name for _, _, entry in located if entry.quantity in TRANSDUCERS and entry.body == body]
+        if not block.daq:
+            expected = "a recorder, whose channels determine the frequency of the motion"
+            yield _error(MISSING_KEY, path, f"{prefix}daq", "no such key", expected)
+        if others:
+            expected = f"a trigger, because {others[0]} measures the phase of the {body} too"
+            yield _error(KEY_NOT_APPLICABLE, path, key, f"{images.frame_rate:g} Hz", expected)
 
 
 def _output_errors(located: list[LocatedChannel], path: Path, rig: Rig, rig_path: Path) -> Iterator[InputError]:

@@ -125,7 +125,9 @@ class DaqRecord:
     def pulse_width(self, trigger: str) -> PulseWidth:
         """Measure the pulse width of a trigger channel, once; `ValueError` if it is impossible."""
         if trigger not in self._pulses:
-            channel = next(channel for channel in self.entry.channel if channel.name == trigger)
+            channel = next((channel for channel in self.entry.channel if channel.name == trigger), None)
+            if channel is None:
+                raise ValueError(f"{trigger}: expected a recorded trigger, found a frame rate")
             signal = self.values(channel), self.raw[trigger].sample_rate_hz, channel.threshold, channel.edge
             try:
                 self._pulses[trigger] = pulse_width(*signal, self.fit_trigger(channel))

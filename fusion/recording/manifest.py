@@ -28,6 +28,7 @@ from fusion.recording.rig import InstrumentHead, NamedHead, RigPart, Shaker, Ste
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.values import (
     HERTZ,
+    PULSE,
     SECONDS,
     ZERO3,
     Angle,
@@ -396,9 +397,10 @@ class Frames(ManifestBlock):
 class Images(Frames):
     """Image sequences of the cameras of a stereo pair, in natural order.
 
-    `right` is empty for a single camera. Subsets are inside the `region` of the first left image, outside every `mask`:
-    x, y, width, height or the corners of a polygon, in px. `displaced_left`, `displaced_right`: further images of the
-    body at other places.
+    `right` is empty for a single camera. Without a trigger, `frame_rate` dates the frames, and `trigger` is the name of
+    their free-running clock, whose start is unknown. Subsets are inside the `region` of the first left image, outside
+    every `mask`: x, y, width, height or the corners of a polygon, in px. `displaced_left`, `displaced_right`: further
+    images of the body at other places.
     """
 
     left: ExistingFiles
@@ -406,11 +408,24 @@ class Images(Frames):
     displaced_left: ExistingFiles = ()
     displaced_right: ExistingFiles = ()
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None
+    frame_rate: Annotated[Positive, HERTZ] | None = None
     region: Region | None = None
     mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
     HAS_ROW_TIMES: ClassVar[bool] = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _free_running(cls, value: Any) -> Any:
+        """Return the keys; frames without a trigger count edges of a clock of their own."""
+        if not isinstance(value, dict) or "frame_rate" not in value:
+            return value
+        for key in ("trigger", "first_edge", "edge_step"):
+            if key in value:
+                expected = "no such key with frame_rate, which dates frames without a trigger"
+                raise refusal(expected, "one", key=key, declared=KEY_NOT_APPLICABLE)
+        return {"trigger": f"frames of {value.get('stereo')}", "first_edge": 0} | value
 
     @property
     def cameras(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:
@@ -438,6 +453,9 @@ class Images(Frames):
             raise refusal("no right camera", "one", key="first_edge", declared=CONTRADICTING_VALUES)
         if self.right and runs and set(runs) != {"left", "right"}:
             raise refusal("edges of left and right", next(iter(runs)), key="first_edge", declared=CONTRADICTING_VALUES)
+        if self.frame_rate is not None and self.exposure == PULSE:
+            expected, found = "the exposure in s, because no trigger has pulses", f'"{PULSE}"'
+            raise refusal(expected, found, key="exposure", declared=CONTRADICTING_VALUES)
         if self.right and left != right and not runs:
             raise refusal(
                 "as many images left as right, or `first_edge` of each camera",

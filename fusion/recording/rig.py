@@ -421,7 +421,7 @@ class Stereo(ManifestBlock):
     global shutter.
 
     `body` "room": a stationary object, which shows the motion of the `support` of the cameras. A pair with a `surface`
-    is a single camera, the left one, with a global shutter.
+    is a single camera, the left one.
     """
 
     body: Literal["load", "base", "room"]
@@ -451,9 +451,6 @@ class Stereo(ManifestBlock):
         if self.surface is not None and self.pose_by_calibration is not None:
             expected = "no such key for a single camera with a surface"
             raise refusal(expected, "one", key="pose_by_calibration", declared=KEY_NOT_APPLICABLE)
-        if self.surface is not None and any(self.row_time):
-            expected, found = "0 for a single camera with a surface", f"{self.row_time[0]:g} s"
-            raise refusal(expected, found, key="row_time", declared=CONTRADICTING_VALUES)
         return self
 
 

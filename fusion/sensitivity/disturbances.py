@@ -202,7 +202,7 @@ def unstated_chain(
     main = int(np.nanargmax(np.abs(value[line])))
     entry = next((e for e in entries if e.channel == found.channels[found.elements[indices[main]][0]]), None)
     seen = polar_elements(value[[line]], found.uncertainty.at([*indices]).at_lines([line]))[0][main]
-    if entry is None or seen is None:
+    if entry is None or seen is None or seen.u_phase_rad > np.pi / 2.0:  # frames without a trigger have no phase
         return
     if not signed and abs(seen.phase_rad) > np.pi / 2.0:
         yield Notice(OUTPUT_OPPOSES_LOAD, "sensitivity", output=entry.name, phase_rad=seen.phase_rad)

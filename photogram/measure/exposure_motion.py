@@ -249,7 +249,7 @@ class ExposureCorrection(Arrays):
         informed = [row_information(view) for view in self.scene.views]
         whole = np.sum([part.sum(axis=0) for part in informed], axis=0)
         sums = np.zeros((2, len(self.swing.frequency_hz), *whole.shape), np.complex128)
-        for row_s, view, part in zip(self.swing.row_s, self.scene.views, informed, strict=True):
+        for row_s, view, part in zip(self.swing.row_s, self.scene.views, informed, strict=False):
             arm, down = view.patches.arm_px, np.arange(len(part)) - (len(part) - 1) / 2
             angle = 2.0 * np.pi * self.swing.frequency_hz[:, None] * row_s
             for row, factor in enumerate((np.exp(1j * angle * down), 1.0 + 1j * np.sin(angle * arm) / arm * down)):
@@ -271,7 +271,7 @@ class ExposureCorrection(Arrays):
 
     @property
     def delay_s(self) -> FloatArray:
-        """Delay of the subsets (N,) after the first row, in the mean of both cameras."""
+        """Delay of the subsets (N,) after the first row, in the mean of the cameras."""
         delays = [self._delay_s(side, one.centre_px[:, 1]) for side, one in enumerate(self.uncorrected.references)]
         return np.asarray(np.mean(delays, axis=0))
 
@@ -309,15 +309,15 @@ def prepare_exposure_correction(scene: BodyScene, swing: ExposureMotion) -> Expo
     """Return the correction of a scene whose frames were followed, for an estimated motion."""
     corrected = scene
     if swing.rolling_shutter:
-        at_rest = identity_registration(scene.references[0]), identity_registration(scene.references[1])
+        at_rest = tuple(map(identity_registration, scene.references))
         centres_px = _at_one_instant(scene, swing, 0, at_rest)
-        left, right = (
+        references = tuple(
             replace(reference, centre_px=centre_px)
             for reference, centre_px in zip(scene.references, centres_px, strict=True)
         )
         rest_m = locate_subsets(scene, centres_px).position_m[0]
         seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
-        corrected = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
+        corrected = replace(scene, references=references, rest_m=rest_m, seen=seen)
     splines = tuple(spline_of_image(image, scene.settings.degree) for image in scene.first)
     views = body_views(corrected, splines, WIDEST_CELL / swing.per_row if swing.rolling_shutter else np.inf)
     if swing.rolling_shutter:

@@ -294,6 +294,39 @@ class TriggerFit(Arrays, shapes="number E; lower_s E; upper_s E; edge_s E; corre
         )
 
 
+NOMINAL_INTERVAL_S = 1e-9
+"""Interval of an edge that no samples determine (chosen)."""
+
+
+def nominal_trigger(edges: int, period_s: float, covariance: FloatArray | None = None) -> TriggerFit:
+    """Return a trigger of even edges that no channel recorded.
+
+    From 0 s on, by default exact. `covariance` (2, 2): of start and period, s².
+    """
+    number = np.arange(edges)
+    time_s = np.asarray(number * period_s, dtype=np.float64)
+    return TriggerFit(
+        start_s=0.0,
+        period_s=period_s,
+        number=number,
+        lower_s=time_s - NOMINAL_INTERVAL_S,
+        upper_s=time_s,
+        edge_s=time_s,
+        correction_s=np.zeros(edges),
+        kind="resolved",
+        covariance=np.zeros((2, 2)) if covariance is None else covariance,
+        jitter_s=0.0,
+        missing=(),
+        doubled=0,
+        spurious=0,
+        idle_before=False,
+        idle_after=False,
+        resolution_s=0.0,
+        open_s=0.0,
+        notices=(),
+    )
+
+
 def fit_trigger(edges: Edges) -> TriggerFit:
     """Fit the periodic model t_k = start + k·period to trigger edges.
 

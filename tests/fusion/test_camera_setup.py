@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from support import refusals
 
 from fusion.cli import main
-from fusion.planning.camera_setup import CameraSetup, estimate_setup
+from fusion.planning.camera_setup import CameraSetup, estimate_setup, relative_expanded_uncertainty
 
 SETUP = {
     "pixel": 4e-6,
@@ -35,8 +35,32 @@ def test_a_lens_at_a_tenth_of_natural_size() -> None:
     assert found.depth_m == pytest.approx(7.04e-3)
     assert found.airy_px == pytest.approx(11.81e-6 / 4e-6, rel=1e-3)
     assert found.used_px == pytest.approx(1e6)
-    x, y, z = found.noise_m
-    assert (x / y, z / y) == pytest.approx((2.0 / np.sqrt(3.0), 2.0)), "half the stereo angle is 30°"
+    x, y, z = np.sqrt(np.diagonal(found.covariance["a pair"]))[:3]
+    assert (x / y, z / y) == pytest.approx((1.0, np.sqrt(3.0)), rel=0.02), "half the stereo angle is 30°: cot 30°"
+
+
+def test_one_camera_across_a_square_face_has_the_uncertainties_of_the_closed_form() -> None:
+    """With half the side a, distance Z and w = u of a shift alone: √(14/9)·w, Z·w·√1.5/a, √5·Z·w/a², √1.5·w/a.
+
+    Shifts alone see n pixels with w = pixel·noise/(slope·√n). The moments of the square are a²/3, a⁴/5 and a⁴/9.
+    """
+    one = {key: value for key, value in SETUP.items() if key != "stereo_angle"} | {"view_angle": 0.0}
+    half, far, shift = 0.02, 0.55, 40e-6 * 0.01 / (2.0 * np.sqrt(2.0 * np.log(2.0)) * 0.2 / 5.0 * 1000.0)
+    expected = [np.sqrt(14.0 / 9.0) * shift] * 2 + [np.sqrt(1.5) * far * shift / half]
+    expected += [np.sqrt(5.0) * far * shift / half**2] * 2 + [np.sqrt(1.5) * shift / half]
+    (found,) = estimate_setup(CameraSetup.model_validate(one)).covariance.values()
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found)), expected, rtol=2e-3)
+    # At the sensor 40 mm behind the face, x takes up the tilt about y.
+    (behind,) = estimate_setup(CameraSetup.model_validate(one | {"origin": (0.0, 0.0, -0.04)})).covariance.values()
+    assert np.sqrt(behind[0, 0]) == pytest.approx(0.04 * expected[4], rel=0.02)
+
+
+def test_the_uncertainty_of_the_sensitivity_is_that_of_the_displacement_and_of_the_scale() -> None:
+    """u√(2/N)·ω²/a, with the scale, times 1.96."""
+    setup = CameraSetup.model_validate(SETUP | {"frequency": 50.0, "acceleration": 4.0, "scale_uncertainty": 1e-4})
+    noise = np.sqrt(1e-16 * 2.0 / 211) * (2.0 * np.pi * 50.0) ** 2 / 4.0
+    found = relative_expanded_uncertainty(setup, np.diag([0.0, 0.0, 1e-16, 0.0, 0.0, 0.0]))
+    assert found == pytest.approx(1.96 * np.hypot(noise, 1e-4))
 
 
 def test_the_noise_is_that_of_speckle_fitted_by_least_squares() -> None:
@@ -51,7 +75,9 @@ def test_the_noise_is_that_of_speckle_fitted_by_least_squares() -> None:
     pixel_m = 40e-6
     setup = SETUP | {"face": (side * pixel_m, side * pixel_m), "speckle": speckle, "stereo_angle": 1e-3}
     found = estimate_setup(CameraSetup.model_validate(setup))
-    assert found.noise_m[0] * np.sqrt(2.0) / pixel_m == pytest.approx(shifts.std(), rel=0.1)
+    (covariance,) = found.covariance.values()
+    # Two views, and with two tilts: √2 and √(9/14) of the shift of one view alone.
+    assert np.sqrt(covariance[0, 0] * 2.0 * 9.0 / 14.0) / pixel_m == pytest.approx(shifts.std(), rel=0.1)
 
 
 def test_the_table_has_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,6 +99,8 @@ def test_the_table_has_units(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ("image = [2000, 1500]", "image = [2000]", "image"),
         ("f_number = 8.0", "f_number = 0", "f_number"),
         ("stereo_angle = 60.0", "stereo_angle = 180", "stereo_angle"),
+        ("stereo_angle = 60.0", "", "stereo_angle"),
+        ("noise = 0.01", "noise = 0.01\nfrequency = 80", "acceleration"),
         ("pixel = 4e-06", "pixels = 4e-06", "pixels"),
     ],
 )

@@ -13,12 +13,14 @@ from support import complex_of, truth_of
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.stereo import SURFACE, StereoReading
+from fusion.phasors import clocks
 from fusion.phasors.image_effects import THROUGH, phasor_motion, surface_effects, with_surface_at_rest
 from fusion.phasors.phasor_notices import SINGLE_CAMERA_NOT_ASSESSED
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.planning.check import check
 from fusion.planning.look.look import look
 from fusion.recording.load import load_manifest
+from fusion.recording.recording_notices import KEY_NOT_APPLICABLE
 from fusion.recording.rig import Stereo
 from fusion.report.recording_report import render_report
 from fusion.sensitivity.recording_evaluation import evaluate_recording
@@ -126,7 +128,7 @@ def test_the_stated_surface_is_that_of_the_mean_pose_wherever_the_body_was_in_th
     poses = np.array([found.pose for found in fitted if found is not None])
     motion = RigidMotion(poses, np.tile(np.eye(6), (2, 1, 1)), np.zeros(2), np.full(2, 9), np.zeros(3))
     tracks: Any = SimpleNamespace(left=SimpleNamespace(position_px=at_first[None]))
-    view: Any = SimpleNamespace(rig=rig, tracks=[tracks])
+    view: Any = SimpleNamespace(rig=rig, tracks=[tracks], phase_rotated=None)
     sight: Any = SimpleNamespace(pair=PAIR)
     corrected = with_surface_at_rest(StereoMotion(sight, motion, (), np.nan, view, ()), mean.pose).motion.pose
     size = np.repeat(np.abs(true[1]).reshape(2, 3).max(axis=1), 3)
@@ -198,3 +200,31 @@ def test_a_recording_before_one_camera_holds_the_truth_and_check_says_what_is_se
     assert SINGLE_CAMERA_NOT_ASSESSED.code in page
     assert "stereo top: surface" in page
     assert "Epipolar residuals of top" not in page
+
+
+@pytest.mark.parametrize(("off", "lost"), [(8e-4, 0), (-1.7e-3, 5)])
+def test_the_motion_shows_the_rate_of_frames_without_a_trigger(off, lost):
+    """120 frames at 60 Hz of a sine of 80 Hz, some of them lost: found to a fifth of a turn over the record."""
+    time_s, true_s = np.arange(120) / 60.0, np.arange(120) / 60.0 / (1.0 + off)
+    pose = np.zeros((120, 6))
+    pose[:, 2] = 1e-5 * np.sin(2.0 * np.pi * 80.0 * true_s + 1.0) + 1e-6 * np.random.default_rng(1).normal(size=120)
+    pose[3 : 3 + lost] = np.nan
+    motion = RigidMotion(pose, np.tile(np.eye(6), (120, 1, 1)), np.zeros(120), np.full(120, 9), np.zeros(3))
+    sight = SimpleNamespace(pair=PAIR, time_s=time_s)
+    lines: Any = SimpleNamespace(frequency_hz=np.array([80.0]))
+    measured = StereoMotion(sight, motion, (), np.nan, None, ())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clocks, "replace", lambda item, **new: SimpleNamespace(**(vars(item) | new)))
+        found = clocks._at_near_rate(measured, lines)
+    stretch = np.ptp(found.sight.time_s) / np.ptp(time_s)
+    assert abs(stretch - 1.0 / (1.0 + off)) < clocks.RATE_STEP / (80.0 * np.ptp(time_s))
+
+
+@pytest.mark.parametrize(
+    ("trigger", "key"),
+    [("frame_rate = 40.0", "first_edge"), ('trigger = "camera_trigger"\nframe_rate = 40.0', "trigger")],
+)
+def test_frames_without_a_trigger_count_no_edges(make_campaign, trigger, key):
+    with pytest.raises(InputError) as error:
+        load_manifest(make_campaign(replace=alone(NO_RIGHT, ("recording.toml", 'trigger = "camera_trigger"', trigger))))
+    assert (error.value.code, error.value.key) == (KEY_NOT_APPLICABLE.code, f"images.top.{key}")

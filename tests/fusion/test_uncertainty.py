@@ -488,3 +488,14 @@ def test_a_text_that_means_nothing_is_refused(field, found):
     with written(Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,))) as group:
         group[field][0] = found
         refused(f"{field}: expected one of", read_uncertainty, group)
+
+
+def test_an_unknown_time_hides_the_phase_but_not_the_magnitude():
+    """A turn by any angle, u = π/√3 across and 1 % along; noise of the same size along it hides both."""
+    value, across = 2.0 * np.exp(0.7j), np.pi / np.sqrt(3.0) * 2.0
+    axes = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    for along, hidden in ((0.02, False), (across, True)):
+        found = polar(value, axes @ np.diag([along**2, (1.001 * across) ** 2]) @ axes.T)
+        assert found.expanded_phase_rad > np.pi
+        assert found.region.holds_zero == hidden
+    assert found.magnitude == pytest.approx(2.0)

@@ -38,7 +38,7 @@ from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import CAPTURE, nearest_clear_rate, separation_bins, usable_lines
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
-from shaker.timebase.trigger import PulseWidth, TriggerFit
+from shaker.timebase.trigger import PulseWidth, nominal_trigger
 from shakercal._common.arrays import FloatArray, IntArray
 
 START_FRAMES = 8  # from which a body is prepared
@@ -51,8 +51,6 @@ RATE_UNCERTAINTY = 1e-4
 """Relative standard uncertainty of a camera's nominal rate: that of a common quartz with its ageing."""
 MOST_BEAT_FRAMES = 100_000
 """Frames within which a beat is expected; a longer one is none."""
-EXACT_S = 1e-9
-"""Interval of an edge of the nominal clock."""
 IN_MEMORY = "live"
 """Name of the block that states the camera's clock."""
 
@@ -284,7 +282,7 @@ class LiveEvaluation:
         """Return the nominal time base from edge 0 to beyond the last one."""
         daq = self.manifest.daq[0]
         record = NominalClock(daq, {}, 0.0)
-        trigger = _nominal_trigger(last + 2, self.rate_hz)
+        trigger = nominal_trigger(last + 2, 1.0 / self.rate_hz)
         return TimeBase((record,), {(daq.name, entry.name): trigger for entry in daq.channel}, {daq.name: None})
 
     def state(self, pending: int | None = 0) -> LiveState:
@@ -524,29 +522,3 @@ def _image_of(frames: Sequence[LiveFrame], side: int, index: int) -> GreyImage:
 
 def _bytes_of(frames: Sequence[LiveFrame], side: int, index: int) -> bytes:
     return frames[index].images[side][-8:].tobytes()
-
-
-def _nominal_trigger(edges: int, rate_hz: float) -> TriggerFit:
-    """Return a trigger with exact edges at a rate."""
-    number = np.arange(edges)
-    time_s: FloatArray = number / rate_hz
-    return TriggerFit(
-        start_s=0.0,
-        period_s=1.0 / rate_hz,
-        number=number,
-        lower_s=time_s - EXACT_S,
-        upper_s=time_s,
-        edge_s=time_s,
-        correction_s=np.zeros(edges),
-        kind="resolved",
-        covariance=np.zeros((2, 2)),
-        jitter_s=0.0,
-        missing=(),
-        doubled=0,
-        spurious=0,
-        idle_before=False,
-        idle_after=False,
-        resolution_s=0.0,
-        open_s=0.0,
-        notices=(),
-    )
