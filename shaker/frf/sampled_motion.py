@@ -1,0 +1,441 @@
+"""Transfer functions of motions that are sampled far below the Nyquist rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import NormalDist
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shaker.sine.phasor import derivative_factor
+from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+
+MOST_UNKNOWNS, MOST_KNOTS, FEWEST_KNOTS = 500, 120, 8
+"""Unknowns of one component; splines over the band per channel (chosen for time and memory)."""
+MIN_FREE_FRAMES = 20
+"""Frames beyond the unknowns without prior (chosen)."""
+_DRIFT_HZ = 0.25  # up to which any motion of the frames is drift
+_FIRST, _OCTAVES = 0.8, 3  # of the lowest frequency of the band, from which down motion has a factor per octave
+_HIGH = (1.25, 1.6)  # of the highest one: all below, none above
+_DEGREE = 3
+_RANK = 1e-9  # singular value over the largest, below which a combination of columns is not determined
+_ROUNDS, _FALSE_ALARM = 3, 0.01  # of the search for outliers; probability of one by chance
+_SMOOTHNESS = np.linspace(-2.0, 12.0, 57)  # decades of the variance of the prior's strongest part over the noise
+_STEPS = 10  # of the local spread of the prior
+_NEIGHBOURS = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
+
+
+@dataclass(frozen=True)
+class ReferenceSignals(Arrays, shapes="values S C; order C"):
+    """Channels that are sampled fast enough, at `start_s` + i / `rate_hz`.
+
+    Attributes
+    ----------
+    values : (S, C), samples.
+    order : (C,), time derivatives from a displacement: 0, 1 of velocities, 2 of accelerations, forces and outputs.
+    rate_hz, start_s : sampling rate in Hz and time of the first sample in s.
+    band_hz : band of the excitation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from shaker.frf.sampled_motion import ReferenceSignals
+    >>> ReferenceSignals(np.zeros((4000, 1)), np.array([2]), 1000.0, 0.0, (20.0, 200.0)).duration_s
+    4.0
+    """
+
+    values: FloatArray
+    order: IntArray
+    rate_hz: float
+    start_s: float
+    band_hz: tuple[float, float]
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the record."""
+        return len(self.values) / self.rate_hz
+
+
+class _Spectra:
+    """Displacement-like spectra of the references, and splines over the logarithm of the frequency.
+
+    `value` (M, R): at `frequency_hz` (M,), of motion in the band. `octaves` (O, M): weights of motion below it.
+    """
+
+    def __init__(self, signals: ReferenceSignals, exposure_s: float) -> None:
+        from scipy.fft import next_fast_len
+
+        low, high = signals.band_hz
+        self.count = int(np.clip(MOST_UNKNOWNS // (2 * signals.values.shape[1]), FEWEST_KNOTS, MOST_KNOTS))
+        self.signals = signals
+        self.margin_s = min(4.0 / low, 0.1 * signals.duration_s)  # where the ends of the record act
+        length = next_fast_len(len(signals.values) + int(2.0 * self.margin_s * signals.rate_hz))
+        frequency_hz = np.fft.rfftfreq(length, 1.0 / signals.rate_hz)
+        steps = [low * _FIRST * 0.5**number for number in range(_OCTAVES + 1)]
+        ramps = [_ramp(frequency_hz, (0.5 * step, step)) for step in steps]
+        above = _ramp(frequency_hz, (_HIGH[0] * high, _HIGH[1] * high))
+        self._used = slice(*(np.flatnonzero((ramps[-1] > 0.0) & (above < 1.0))[[0, -1]] + [0, 1]).tolist())
+        self.frequency_hz = frequency_hz[self._used]
+        self.octaves = np.stack([lower - upper for upper, lower in pairwise(ramps)])[:, self._used]
+        self.weight = (ramps[0] * (1.0 - above))[self._used]
+        centred = signals.values - signals.values.mean(axis=0)
+        gain = np.sinc(self.frequency_hz * exposure_s) * 2.0 / length
+        self.value = np.fft.rfft(centred, length, axis=0)[self._used] * gain[:, None]
+        self.value *= displacement_factors(self.frequency_hz, signals.order)
+        self._length_s = length / signals.rate_hz
+        self._points = next_fast_len(int(np.ceil(self._length_s * self.frequency_hz[-1] / PASS_BAND)) + 1)
+
+    def basis(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return the cubic splines (M, J) at frequencies, constant outside the band."""
+        from scipy.interpolate import BSpline
+
+        low, high = np.log(self.signals.band_hz)
+        step = (high - low) / (self.count - _DEGREE)
+        knots = low + step * np.arange(-_DEGREE, self.count + 1)
+        inside = np.clip(np.log(frequency_hz), low, high - 1e-9 * step)
+        return np.asarray(BSpline.design_matrix(inside, knots, _DEGREE).toarray())
+
+    def usable(self, time_s: FloatArray) -> BoolArray:
+        """Return the times (F,) that are not near the ends of the record."""
+        inside = time_s - self.signals.start_s
+        return np.asarray((inside > self.margin_s) & (inside < self.signals.duration_s - self.margin_s))
+
+    def at_times(self, spectra: ComplexArray, time_s: FloatArray) -> ComplexArray:
+        """Return the analytic signals (F, N) of spectra (M, N) at times (F,)."""
+        found, reach = np.empty((len(time_s), spectra.shape[1]), dtype=np.complex128), kernel_reach(1.0)
+        position = (time_s - self.signals.start_s) * self._points / self._length_s + reach
+        for number, spectrum in enumerate(spectra.T):
+            padded = np.zeros(self._points, dtype=np.complex128)
+            padded[self._used] = spectrum
+            signal = np.pad(np.fft.ifft(padded) * self._points, reach, mode="wrap")
+            found[:, number] = resample(signal.real, position) + 1j * resample(signal.imag, position)
+        return found
+
+
+def displacement_factors(frequency_hz: FloatArray, order: IntArray) -> ComplexArray:
+    """Return the factors (K, R) from phasors of time derivatives to those of displacements."""
+    return np.stack([derivative_factor(frequency_hz, -int(one)) for one in order], axis=1)
+
+
+def _ramp(frequency_hz: FloatArray, ends: tuple[float, float]) -> FloatArray:
+    """Return a cosine ramp from 0 to 1 between two frequencies."""
+    share = np.clip((frequency_hz - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * share))
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Columns of unknowns that are free, and of others with a prior, decomposed.
+
+    The free ones (F, P) are U·S·Vᵀ without undetermined combinations: `left` (F, P') = U, `inverse` (P, P') = V/S.
+    `rest` (F, Q): the others times `spread` (Q,), orthogonal to U, from which U·`share` was subtracted; `eigen` (Q,),
+    `vectors` (Q, Q) of restᵀ·rest. `spread`: relative standard deviations of the prior.
+    """
+
+    left: FloatArray
+    inverse: FloatArray
+    share: FloatArray
+    rest: FloatArray
+    eigen: FloatArray
+    vectors: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, free: FloatArray, prior: FloatArray) -> Self:
+        """Decompose the columns, with a prior of equal spread."""
+        left, size, right = np.linalg.svd(free, full_matrices=False)
+        kept = size > _RANK * size[0]
+        nothing = np.empty((0, 0))
+        bare = cls(left[:, kept], right[kept].T / size[kept], nothing, nothing, nothing, nothing, nothing)
+        return bare.with_spread(prior, np.ones(prior.shape[1]))
+
+    def with_spread(self, prior: FloatArray, spread: FloatArray) -> Self:
+        """Return the decomposition with another spread of the prior."""
+        columns = prior * spread
+        share = self.left.T @ columns
+        rest = columns - self.left @ share
+        eigen, vectors = np.linalg.eigh(rest.T @ rest)
+        return replace(self, share=share, rest=rest, eigen=np.maximum(eigen, 0.0), vectors=vectors, spread=spread)
+
+
+@dataclass(frozen=True, eq=False)
+class _Smoother:
+    """Least squares of one component: variance of its noise, and that over the variance of the prior (`damping`)."""
+
+    parts: _Parts
+    damping: float
+    variance: float
+
+    @classmethod
+    def of(cls, parts: _Parts, values: FloatArray) -> Self:
+        """Select both variances for values (F,) by restricted maximum likelihood."""
+        remaining = values - parts.left @ (parts.left.T @ values)
+        total, freedom = float(remaining @ remaining), len(values) - parts.left.shape[1]
+        power = (parts.vectors.T @ (parts.rest.T @ remaining)) ** 2
+        damping = 10.0**-_SMOOTHNESS * max(float(parts.eigen[-1]), np.finfo(np.float64).tiny)
+        shrunk = parts.eigen + damping[:, None]
+        squares = np.maximum(total - (power / shrunk).sum(axis=1), np.finfo(np.float64).eps * total)
+        best = int(np.argmin(freedom * np.log(squares) + np.log(shrunk / damping[:, None]).sum(axis=1)))
+        return cls(parts, float(damping[best]), float(squares[best] / freedom))
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom that the unknowns use."""
+        eigen = self.parts.eigen
+        return float(self.parts.left.shape[1] + np.sum(eigen / (eigen + self.damping)))
+
+    def solve(self, values: FloatArray) -> FloatArray:
+        """Return the unknowns (P + Q,) of values (F,)."""
+        parts = self.parts
+        other = parts.vectors @ ((parts.vectors.T @ (parts.rest.T @ values)) / (parts.eigen + self.damping))
+        return np.concatenate([parts.inverse @ (parts.left.T @ values - parts.share @ other), parts.spread * other])
+
+    def weights(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weights (N, F) of the values in rows (N, P + Q) of the unknowns, and roots of the prior (N, Q).
+
+        The root times its transpose is the covariance by deviations that the frames leave possible.
+        """
+        parts = self.parts
+        free = rows[:, : len(parts.inverse)] @ parts.inverse
+        other = (rows[:, len(parts.inverse) :] * parts.spread - free @ parts.share) @ parts.vectors
+        kept = other / (parts.eigen + self.damping)
+        root = kept * np.sqrt(self.damping * self.variance)
+        return free @ parts.left.T + (kept @ parts.vectors.T) @ parts.rest.T, root
+
+    def expected_squares(self, values: FloatArray) -> FloatArray:
+        """Return the expected squares (Q,) of the unknowns of values (F,) over the variance of their prior."""
+        parts = self.parts
+        found = self.solve(values)[len(parts.inverse) :] ** 2 * self.damping / self.variance
+        return found + (parts.vectors**2 @ (self.damping / (parts.eigen + self.damping))) * parts.spread**2
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledMotion:
+    """A motion as filtered references: its transfer function, and its residuals.
+
+    Attributes
+    ----------
+    used : (F,), frames of the fit: complete, inside the record of the references, no outliers.
+    rate : (F, C), time derivative of the motion in the band at the used frames, else NaN.
+    residual : (F, C), the rest after drift and motion at the used frames, else NaN.
+    noise : (C, C), covariance of a frame's noise.
+    freedom : (C,), degrees of freedom that the unknowns use.
+    """
+
+    used: BoolArray
+    rate: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+    freedom: FloatArray
+    spectra: _Spectra
+    columns: _Columns
+    smoothers: tuple[_Smoother, ...]
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the noise, of the component with the fewest."""
+        return float(np.count_nonzero(self.used) - self.freedom.max())
+
+    def phasors(self, frequency_hz: FloatArray, references: ComplexArray) -> SampledPhasors:
+        """Return the motion at lines with phasors (K, R) of the references, as recorded.
+
+        Raises `ValueError` for lines outside the band. The covariance contains noise, and the deviations of the transfer
+        function from its estimate.
+        """
+        rows, lines, components = self._rows(frequency_hz, references), len(frequency_hz), len(self.noise)
+        flat = rows.reshape(2 * lines, -1)
+        both = [smoother.weights(flat) for smoother in self.smoothers]
+        weights = np.stack([weight.reshape(lines, 2, -1) for weight, _ in both])
+        covariance = np.einsum("ab,akif,bkjf->kiajb", self.noise, weights, weights, optimize=True)
+        for a, (_, root) in enumerate(both):
+            part = root.reshape(lines, 2, -1)
+            covariance[:, :, a, :, a] += part @ part.swapaxes(1, 2)
+        shape = lines, 2 * components, 2 * components
+        return SampledPhasors(self.used, weights, covariance.reshape(shape))
+
+    def _rows(self, frequency_hz: FloatArray, references: ComplexArray) -> FloatArray:
+        """Return rows (K, 2, P + Q) of real and imaginary part over the unknowns."""
+        spectra, columns = self.spectra, self.columns
+        check_shape("references", references, (len(frequency_hz), len(columns.scale)))
+        low, high = spectra.signals.band_hz
+        if np.any((frequency_hz < low * (1.0 - 1e-9)) | (frequency_hz > high * (1.0 + 1e-9))):
+            raise ValueError(f"frequency_hz: expected lines from {low:g} to {high:g} Hz")
+        moved = references * displacement_factors(frequency_hz, spectra.signals.order) / columns.scale
+        shaped = np.einsum("kc,kj->kcj", moved, spectra.basis(frequency_hz) @ columns.by_smoothness)
+        free, prior = _split(np.stack([shaped, 1j * shaped]))
+        nothing = np.zeros((len(frequency_hz), columns.nuisances))
+        both = np.concatenate([nothing, free, prior], axis=1)
+        return np.stack([both.real, both.imag], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPhasors:
+    """Phasors of a sampled motion as a linear function of its frames.
+
+    `used` (F,): frames; `weights` (C, K, 2, F'): of the used frames in real and imaginary part of each line;
+    `covariance` (K, 2C, 2C): of all real, then all imaginary parts.
+    """
+
+    used: BoolArray
+    weights: FloatArray
+    covariance: FloatArray
+
+    def of(self, series: FloatArray) -> ComplexArray:
+        """Return the phasors (K, C) of a motion (F, C), or of changes of that motion."""
+        parts = np.einsum("ckif,fc->kic", self.weights, series[self.used])
+        return np.asarray(parts[:, 0] + 1j * parts[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Columns (F, P + Q) of the frames: drift, motion below the band, levels and slopes, second differences.
+
+    `free`: P of them have no prior, the first `nuisances` of which are no transfer function. `scale` (R,): of the
+    references. `by_smoothness` (J, J): from level, slope and second differences to coefficients of splines.
+    """
+
+    values: FloatArray
+    free: int
+    nuisances: int
+    scale: FloatArray
+    by_smoothness: FloatArray
+
+    @classmethod
+    def of(cls, spectra: _Spectra, time_s: FloatArray, drift: FloatArray) -> _Columns:
+        """Return the columns at times (F,), after those of drift (F, D)."""
+        splines, by_smoothness = spectra.basis(spectra.frequency_hz), _by_smoothness(spectra.count)
+        below, shaped, scale = [drift], list[ComplexArray](), list[float]()
+        for value in spectra.value.T:
+            moving = spectra.at_times(splines * (spectra.weight * value)[:, None], time_s)
+            scale.append(max(float(np.std(moving.sum(axis=1).real)), np.finfo(np.float64).tiny))
+            slow = spectra.at_times((spectra.octaves * value).T, time_s) / scale[-1]
+            below += [slow.real, -slow.imag]
+            shaped.append(moving @ by_smoothness / scale[-1])
+        both = np.stack(shaped, axis=1)
+        free, prior = _split(np.stack([both.real, -both.imag]))
+        nuisance = np.concatenate(below, axis=1)
+        count = nuisance.shape[1]
+        values = np.concatenate([nuisance, free, prior], axis=1)
+        return cls(values, count + free.shape[1], count, np.array(scale), by_smoothness)
+
+    def filters(self, unknowns: FloatArray) -> ComplexArray:
+        """Return the coefficients (R, J, C) of the splines by unknowns (P + Q, C)."""
+        references, components = len(self.scale), unknowns.shape[1]
+        free = unknowns[self.nuisances : self.free].reshape(2, references, 2, components)
+        prior = unknowns[self.free :].reshape(2, references, -1, components)
+        real, imaginary = np.concatenate([free, prior], axis=2)
+        return np.asarray(self.by_smoothness @ (real + 1j * imaginary) / self.scale[:, None, None])
+
+
+def _by_smoothness(count: int) -> FloatArray:
+    """Return the matrix (J, J) from level, slope and unit second differences to coefficients of splines."""
+    differences = np.diff(np.eye(count), 2, axis=0)
+    level = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)
+    return np.hstack([level, differences.T @ np.linalg.inv(differences @ differences.T)])
+
+
+def _split(columns: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return level and slope (N, 4R), then the second differences (N, 2R(J - 2)), of (2, N, R, J)."""
+    flat = np.moveaxis(columns, 0, 1)
+    return flat[..., :2].reshape(len(flat), -1), flat[..., 2:].reshape(len(flat), -1)
+
+
+def fit_sampled_motion(
+    signals: ReferenceSignals, time_s: FloatArray, motion: FloatArray, exposure_s: float = 0.0
+) -> SampledMotion:
+    """Estimate how a slowly sampled motion follows from fast references.
+
+    Parameters
+    ----------
+    signals
+        Channels that the same excitation moves.
+    time_s
+        (F,), middles of the exposures in s, on the clock of the references, at any rate.
+    motion
+        (F, C), displacements and rotations, means over the exposure; NaN in frames without a motion.
+    exposure_s
+        Length of the exposure in s.
+
+    Returns
+    -------
+    The motion as filtered references.
+
+    Raises
+    ------
+    ValueError
+        Too few frames.
+
+    Notes
+    -----
+    The motion is Σ_c h_c * x_c, x_c the references integrated to displacements. Frames alias, but the references do
+    not: a frame at the time t observes Σ_c Re Σ_f H_c(f)·X_c(f)·sinc(f·T)·exp(j2πft), which is linear in H_c. Each
+    H_c is a cubic spline over log f. Its second differences have a prior of one variance per component, which restricted
+    maximum likelihood selects (P-splines: Eilers and Marx, Statistical Science 11 (1996) 89). Level and slope of H_c are
+    free, so that references which determine the body by kinematics need no differences. The covariance is that of the
+    posterior: noise and the deviations that the frames leave possible. It covers a smooth function on average over the
+    band (Nychka, JASA 83 (1988) 1134). Motion below the band follows the references with one factor per octave.
+    Cosines below 0.25 Hz model drift. Outlying frames are left out.
+    """
+    check_shape("time_s", time_s, (None,))
+    check_shape("motion", motion, (len(time_s), None))
+    spectra = _Spectra(signals, exposure_s)
+    used = spectra.usable(time_s) & np.isfinite(motion).all(axis=1)
+    duration_s = float(np.ptp(time_s[used])) if used.any() else 0.0
+    drifts = 2 + int(2.0 * _DRIFT_HZ * duration_s)
+    needed = drifts + (4 + 2 * _OCTAVES) * signals.values.shape[1] + MIN_FREE_FRAMES
+    if np.count_nonzero(used) < needed:
+        found = f"{np.count_nonzero(used)} within the record of the channels"
+        raise ValueError(f"motion: expected at least {needed} frames for the unknowns, found {found}")
+    phase = np.pi * (time_s[used] - time_s[used][0]) / max(duration_s, 1e-9)
+    columns = _Columns.of(spectra, time_s[used], np.cos(np.multiply.outer(phase, np.arange(drifts))))
+    found = _fit(spectra, columns, motion, used)
+    for _ in range(_ROUNDS):
+        outlying = _outliers(found)[used]
+        if not outlying.any():
+            break
+        columns, used = replace(columns, values=columns.values[~outlying]), used.copy()
+        used[np.flatnonzero(used)[outlying]] = False
+        found = _fit(spectra, columns, motion, used)
+    gains = np.einsum("mj,rjk->mrk", spectra.basis(spectra.frequency_hz), columns.filters(_unknowns(found.smoothers, motion[used].T)))
+    moving = np.einsum("mrk,mr->mk", gains, spectra.value) * (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
+    rate = np.full(motion.shape, np.nan)
+    rate[used] = spectra.at_times(moving, time_s[used]).real
+    return replace(found, rate=rate)
+
+
+def _fit(spectra: _Spectra, columns: _Columns, motion: FloatArray, used: BoolArray) -> SampledMotion:
+    """Fit the used frames, whose columns are given."""
+    values, prior = motion[used].T, columns.values[:, columns.free :]
+    parts = _Parts.of(columns.values[:, : columns.free], prior)
+    smoothers = [_Smoother.of(parts, component) for component in values]
+    for _ in range(_STEPS):
+        squares = [one.expected_squares(component) for one, component in zip(smoothers, values, strict=True)]
+        size = np.mean(squares, axis=0).reshape(2 * len(columns.scale), -1).mean(axis=0)
+        smooth = np.convolve(np.pad(size, 2, mode="edge"), _NEIGHBOURS, mode="valid")
+        spread = np.sqrt(smooth / np.exp(np.mean(np.log(smooth))))
+        parts = parts.with_spread(prior, np.tile(spread, 2 * len(columns.scale)))
+        smoothers = [_Smoother.of(parts, component) for component in values]
+    residual, rate = np.full(motion.shape, np.nan), np.full(motion.shape, np.nan)
+    residual[used] = motion[used] - columns.values @ _unknowns(smoothers, values)
+    sigma = np.sqrt([smoother.variance for smoother in smoothers])
+    noise = np.corrcoef(residual[used].T).reshape(len(sigma), -1) * np.outer(sigma, sigma)
+    freedom = np.array([smoother.freedom for smoother in smoothers])
+    return SampledMotion(used, rate, residual, noise, freedom, spectra, columns, tuple(smoothers))
+
+
+def _unknowns(smoothers: Sequence[_Smoother], values: FloatArray) -> FloatArray:
+    """Return the unknowns (P + Q, C) of values (C, F)."""
+    return np.stack([one.solve(component) for one, component in zip(smoothers, values, strict=True)], axis=1)
+
+
+def _outliers(found: SampledMotion) -> BoolArray:
+    """Return frames (F,) with a residual that noise alone has in one record of a hundred."""
+    size = np.abs(found.residual)
+    spread = np.nanmedian(size, axis=0) / NormalDist().inv_cdf(0.75)
+    limit = NormalDist().inv_cdf(1.0 - _FALSE_ALARM / (2.0 * np.count_nonzero(found.used) * size.shape[1]))
+    return np.asarray(np.any(np.nan_to_num(size) > limit * np.maximum(spread, np.finfo(np.float64).tiny), axis=1))
