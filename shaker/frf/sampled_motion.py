@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import NormalDist
@@ -75,7 +74,7 @@ class _Spectra:
         self.signals = signals
         self.margin_s = min(4.0 / low, 0.1 * signals.duration_s)  # where the ends of the record act
         length = next_fast_len(len(signals.values) + int(2.0 * self.margin_s * signals.rate_hz))
-        frequency_hz = np.fft.rfftfreq(length, 1.0 / signals.rate_hz)
+        frequency_hz: FloatArray = np.fft.rfftfreq(length, 1.0 / signals.rate_hz).astype(np.float64)
         steps = [low * _FIRST * 0.5**number for number in range(_OCTAVES + 1)]
         ramps = [_ramp(frequency_hz, (0.5 * step, step)) for step in steps]
         above = _ramp(frequency_hz, (_HIGH[0] * high, _HIGH[1] * high))
@@ -235,6 +234,7 @@ class SampledMotion:
     spectra: _Spectra
     columns: _Columns
     smoothers: tuple[_Smoother, ...]
+    unknowns: FloatArray
 
     @property
     def dof(self) -> float:
@@ -244,8 +244,8 @@ class SampledMotion:
     def phasors(self, frequency_hz: FloatArray, references: ComplexArray) -> SampledPhasors:
         """Return the motion at lines with phasors (K, R) of the references, as recorded.
 
-        Raises `ValueError` for lines outside the band. The covariance contains noise, and the deviations of the transfer
-        function from its estimate.
+        Raises `ValueError` for lines outside the band. The covariance contains noise, and the deviations of the
+        transfer function from its estimate.
         """
         rows, lines, components = self._rows(frequency_hz, references), len(frequency_hz), len(self.noise)
         flat = rows.reshape(2 * lines, -1)
@@ -257,6 +257,14 @@ class SampledMotion:
             covariance[:, :, a, :, a] += part @ part.swapaxes(1, 2)
         shape = lines, 2 * components, 2 * components
         return SampledPhasors(self.used, weights, covariance.reshape(shape))
+
+    def gains(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the factors (K, C, R) from phasors of the references, as recorded, to the motion."""
+        references = len(self.columns.scale)
+        shape = references, len(frequency_hz), references
+        single = np.broadcast_to(np.eye(references, dtype=np.complex128)[:, None], shape)
+        parts = [self._rows(frequency_hz, one) @ self.unknowns for one in single]
+        return np.stack([part[:, 0] + 1j * part[:, 1] for part in parts], axis=2)
 
     def _rows(self, frequency_hz: FloatArray, references: ComplexArray) -> FloatArray:
         """Return rows (K, 2, P + Q) of real and imaginary part over the unknowns."""
@@ -374,12 +382,14 @@ def fit_sampled_motion(
     -----
     The motion is Σ_c h_c * x_c, x_c the references integrated to displacements. Frames alias, but the references do
     not: a frame at the time t observes Σ_c Re Σ_f H_c(f)·X_c(f)·sinc(f·T)·exp(j2πft), which is linear in H_c. Each
-    H_c is a cubic spline over log f. Its second differences have a prior of one variance per component, which restricted
-    maximum likelihood selects (P-splines: Eilers and Marx, Statistical Science 11 (1996) 89). Level and slope of H_c are
-    free, so that references which determine the body by kinematics need no differences. The covariance is that of the
-    posterior: noise and the deviations that the frames leave possible. It covers a smooth function on average over the
-    band (Nychka, JASA 83 (1988) 1134). Motion below the band follows the references with one factor per octave.
-    Cosines below 0.25 Hz model drift. Outlying frames are left out.
+    H_c is a cubic spline over log f (P-splines: Eilers and Marx, Statistical Science 11 (1996) 89). Its second
+    differences have a prior, whose variance is selected by restricted maximum likelihood for each component. The
+    variance varies over the band by expectation and maximisation, so that a resonance does not roughen the rest. Level
+    and slope of H_c are free: references that determine the body by kinematics need no differences. The covariance is
+    that of the posterior: noise and the deviations that the frames leave possible. It covers a smooth function on
+    average over the band (Nychka, JASA 83 (1988) 1134). A resonance that no reference shows, and only a part of the
+    frames, is covered less often. Motion below the band follows the references with one factor per octave. Cosines
+    below 0.25 Hz model drift. Outlying frames are left out.
     """
     check_shape("time_s", time_s, (None,))
     check_shape("motion", motion, (len(time_s), None))
@@ -401,8 +411,10 @@ def fit_sampled_motion(
         columns, used = replace(columns, values=columns.values[~outlying]), used.copy()
         used[np.flatnonzero(used)[outlying]] = False
         found = _fit(spectra, columns, motion, used)
-    gains = np.einsum("mj,rjk->mrk", spectra.basis(spectra.frequency_hz), columns.filters(_unknowns(found.smoothers, motion[used].T)))
-    moving = np.einsum("mrk,mr->mk", gains, spectra.value) * (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
+    gains = np.einsum("mj,rjk->mrk", spectra.basis(spectra.frequency_hz), columns.filters(found.unknowns))
+    moving = (
+        np.einsum("mrk,mr->mk", gains, spectra.value) * (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
+    )
     rate = np.full(motion.shape, np.nan)
     rate[used] = spectra.at_times(moving, time_s[used]).real
     return replace(found, rate=rate)
@@ -421,16 +433,12 @@ def _fit(spectra: _Spectra, columns: _Columns, motion: FloatArray, used: BoolArr
         parts = parts.with_spread(prior, np.tile(spread, 2 * len(columns.scale)))
         smoothers = [_Smoother.of(parts, component) for component in values]
     residual, rate = np.full(motion.shape, np.nan), np.full(motion.shape, np.nan)
-    residual[used] = motion[used] - columns.values @ _unknowns(smoothers, values)
+    unknowns = np.stack([one.solve(component) for one, component in zip(smoothers, values, strict=True)], axis=1)
+    residual[used] = motion[used] - columns.values @ unknowns
     sigma = np.sqrt([smoother.variance for smoother in smoothers])
     noise = np.corrcoef(residual[used].T).reshape(len(sigma), -1) * np.outer(sigma, sigma)
     freedom = np.array([smoother.freedom for smoother in smoothers])
-    return SampledMotion(used, rate, residual, noise, freedom, spectra, columns, tuple(smoothers))
-
-
-def _unknowns(smoothers: Sequence[_Smoother], values: FloatArray) -> FloatArray:
-    """Return the unknowns (P + Q, C) of values (C, F)."""
-    return np.stack([one.solve(component) for one, component in zip(smoothers, values, strict=True)], axis=1)
+    return SampledMotion(used, rate, residual, noise, freedom, spectra, columns, tuple(smoothers), unknowns)
 
 
 def _outliers(found: SampledMotion) -> BoolArray:
