@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,9 +39,11 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from photogram.motion import RigidMotion, relative_to
+from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
-from shaker.frf.result import TransferRecord
+from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sampled_motion import ReferenceSignals, SampledMotion, fit_sampled_motion
+from shaker.frf.sweeps import transfer_from_rest
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors, real_stacked
@@ -128,21 +131,20 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         unit=("",) * (len(names) - 1),
     )
     resolution_hz = SEGMENTS * rate_hz / len(record.reference)
-    found = transfer_random(record, resolution_hz, estimator="local", band_hz=band_hz, frequency_hz=wanted)
-    seen = found.coherence.max(axis=1, initial=0.0) >= MIN_COHERENCE
-    listed = ", ".join(f"{f:.6g}" for f in wanted[~seen])
-    if not seen.any():
+    kept, wanted, silent = _ratios(manifest, record, wanted, band_hz)
+    if not len(wanted):
         expected = f"lines at which a channel follows {names[reference]} (coherence of at least {MIN_COHERENCE:g})"
-        raise _refusal(manifest, "excitation.band", f"noise at {listed} Hz", expected)
-    notices = () if seen.all() else (Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=listed),)
-    kept = found.at_lines(seen)
-    amplitude = _amplitude(record, wanted[seen], resolution_hz)
+        raise _refusal(manifest, "excitation.band", f"noise at {silent} Hz", expected)
+    notices = (Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent),) if silent else ()
+    frequency_hz = kept.ratio.frequency_hz
+    amplitude = _amplitude(record, frequency_hz, resolution_hz)
     covariance = np.stack([kept.channel_covariance(name) for name in record.channels], axis=1)
     covariance = np.insert(covariance, reference, EXACT**2 * np.eye(2), axis=1)
     value = np.insert(kept.ratio.value, reference, 1.0, axis=1)
-    count = np.count_nonzero(seen)
-    why = (f"{excitation.kind}, {rate_hz / len(record.reference):.3g} Hz resolution",) * count
-    lines = LineFrequencies(wanted[seen], np.zeros(count), wanted[seen], np.ones(count, np.int64), why, notices)
+    count = len(wanted)
+    lines = LineFrequencies(
+        frequency_hz, np.zeros(count), wanted, np.ones(count, np.int64), (excitation.kind,) * count, notices
+    )
     order = tuple(
         TRANSDUCERS[entry.quantity].order + INERTIAL if entry.quantity in TRANSDUCERS else INERTIAL
         for _, entry in selected
@@ -152,6 +154,35 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         aligned, lines, band_hz, start_s, rate_hz, order, tuple(manifest.rig.unit_of(entry.quantity) for _, entry in selected),
         value * scale, covariance * scale[..., None, None] ** 2, kept.ratio.dof,
     )  # fmt: skip
+
+
+def _ratios(
+    manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
+) -> tuple[TransferFunction, FloatArray, str]:
+    """Return the ratios near frequencies with a signal, these frequencies, and a list of those without.
+
+    With a period: from the means over whole periods. Of a chirp between rest and rest: from the spectra of the record.
+    Otherwise by local polynomials, at the frequencies themselves.
+    """
+    excitation, found = manifest.excitation, None
+    try:
+        if excitation.period is not None:
+            found = transfer_periodic(
+                record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band_hz
+            )
+        elif excitation.kind == "chirp":
+            with suppress(ValueError):
+                found = transfer_from_rest((record,), band_hz=band_hz)
+        if found is None:
+            resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
+            found = transfer_random(record, resolution_hz, estimator="local", band_hz=band_hz, frequency_hz=wanted)
+    except ValueError as error:
+        raise InputError.from_exception(error, manifest.path, "excitation") from error
+    near = np.abs(np.subtract.outer(wanted, found.ratio.frequency_hz)).argmin(axis=1)
+    near, first = np.unique(near, return_index=True)
+    near_lines, wanted = found.at_lines(near), wanted[first]
+    seen = near_lines.coherence.max(axis=1, initial=0.0) >= MIN_COHERENCE
+    return near_lines.at_lines(seen), wanted[seen], ", ".join(f"{f:.6g}" for f in wanted[~seen])
 
 
 def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputError:
