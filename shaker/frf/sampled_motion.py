@@ -20,13 +20,14 @@ MIN_FREE_FRAMES = 20
 """Frames beyond the unknowns without prior (chosen)."""
 _DRIFT_HZ = 0.25  # up to which any motion of the frames is drift
 _FIRST = 0.8  # of the lowest frequency of the band, from which down motion has a factor per octave
+_OUTSIDE = 2  # parts outside the band with a factor of each reference: above it, and the first octave below
 _HIGH = (1.05, 1.25, 2.2)  # of the highest one: from here to there motion above has one factor, up to the last
 _DEGREE = 3
 _RANK = 1e-9  # singular value over the largest, below which a combination of columns is not determined
 _ROUNDS, _FALSE_ALARM = 3, 0.01  # of the search for outliers; probability of one by chance
 _SMOOTHNESS = np.linspace(-2.0, 12.0, 57)  # decades of the variance of the prior's strongest part over the noise
 _COMPATIBLE = 3.84  # rise of twice the logarithm of the likelihood, to the largest variance in a 95 % interval
-_STEPS, _SMALLEST = 12, 1e-14  # of the local spread of the prior
+_STEPS = 10  # of the local spread of the prior
 _NEIGHBOURS = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 
 
@@ -64,7 +65,7 @@ class ReferenceSignals(Arrays, shapes="values S C; order C"):
 class _Spectra:
     """Displacement-like spectra of the references, and splines over the logarithm of the frequency.
 
-    `value` (M, R): at `frequency_hz` (M,), of motion in the band. `octaves` (O, M): weights of motion below it, and above.
+    `value` (M, R): at `frequency_hz` (M,), of motion in the band. `outside` (O, M): weights of motion above it, then of octaves below.
     """
 
     def __init__(self, signals: ReferenceSignals, exposure_s: float) -> None:
@@ -84,8 +85,8 @@ class _Spectra:
         over = _ramp(frequency_hz, (0.9 * top, top))
         self._used = slice(*(np.flatnonzero((ramps[-1] > 0.0) & (over < 1.0))[[0, -1]] + [0, 1]).tolist())
         self.frequency_hz = frequency_hz[self._used]
-        outside = [*(lower - upper for upper, lower in pairwise(ramps)), above * (1.0 - over)]
-        self.octaves = np.stack(outside)[:, self._used]
+        outside = [above * (1.0 - over), *(lower - upper for upper, lower in pairwise(ramps))]
+        self.outside = np.stack(outside)[:, self._used]
         self.weight = (ramps[0] * (1.0 - above))[self._used]
         centred = signals.values - signals.values.mean(axis=0)
         gain = np.sinc(self.frequency_hz * exposure_s) * 2.0 / length
@@ -281,10 +282,8 @@ class SampledMotion:
             raise ValueError(f"frequency_hz: expected lines from {low:g} to {high:g} Hz")
         moved = references * displacement_factors(frequency_hz, spectra.signals.order) / columns.scale
         shaped = np.einsum("kc,kj->kcj", moved, spectra.basis(frequency_hz) @ columns.by_smoothness)
-        moved = np.stack([shaped, 1j * shaped])
-        drift, slow = np.zeros((len(frequency_hz), columns.drifts)), np.zeros((*moved.shape[:3], columns.octaves))
-        parts = drift, _flat(moved[..., :2]), _flat(np.concatenate([slow, moved[..., 2:]], axis=3))
-        both = np.concatenate(parts, axis=1)
+        nothing = np.zeros((len(frequency_hz), columns.nuisances))
+        both = np.concatenate([nothing, *_split(np.stack([shaped, 1j * shaped]))], axis=1)
         return np.stack([both.real, both.imag], axis=1)
 
 
@@ -308,52 +307,50 @@ class SampledPhasors:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Columns (F, P + Q) of the frames: drift, levels and slopes, then motion below the band and second differences.
+    """Columns (F, P + Q) of the frames: drift and motion outside the band, levels and slopes, second differences.
 
-    `free`: P without a prior, the first `drifts` of which are drift. `scale` (R,): of the references. `by_smoothness`
-    (J, J): from level, slope and second differences to coefficients of splines. `group` (Q,): columns with a prior of
-    equal variance: one octave below the band, or second differences at the same place; `octaves`: number of the first.
+    `free`: P without a prior, the first `nuisances` of which are outside the band. `scale` (R,): of the references.
+    `by_smoothness` (J, J): from level, slope and second differences to coefficients of splines.
     """
 
     values: FloatArray
     free: int
-    drifts: int
+    nuisances: int
     scale: FloatArray
     by_smoothness: FloatArray
-    group: IntArray
-    octaves: int
 
     @classmethod
     def of(cls, spectra: _Spectra, time_s: FloatArray, drift: FloatArray) -> _Columns:
         """Return the columns at times (F,), after those of drift (F, D)."""
         splines, by_smoothness = spectra.basis(spectra.frequency_hz), _by_smoothness(spectra.count)
-        below, shaped, scale = list[ComplexArray](), list[ComplexArray](), list[float]()
-        for value in spectra.value.T:
+        outside, shaped, scale = [drift], list[ComplexArray](), list[float]()
+        steadiest = int(np.argmin(spectra.signals.order))  # at low frequencies, where integrals of noise grow
+        for number, value in enumerate(spectra.value.T):
             moving = spectra.at_times(splines * (spectra.weight * value)[:, None], time_s)
             scale.append(max(float(np.std(moving.sum(axis=1).real)), np.finfo(np.float64).tiny))
-            below.append(spectra.at_times((spectra.octaves * value).T, time_s) / scale[-1])
+            weights = spectra.outside if number == steadiest else spectra.outside[:_OUTSIDE]
+            slow = spectra.at_times((weights * value).T, time_s) / scale[-1]
+            outside += [slow.real, -slow.imag]
             shaped.append(moving @ by_smoothness / scale[-1])
-        slow, moved = (np.stack([one.real, -one.imag]) for one in (np.stack(below, axis=1), np.stack(shaped, axis=1)))
-        free = np.concatenate([drift, _flat(moved[..., :2])], axis=1)
-        both, octaves = np.concatenate([slow, moved[..., 2:]], axis=3), len(spectra.octaves)
-        group = np.tile(np.arange(both.shape[3]), 2 * len(scale))
-        values = np.concatenate([free, _flat(both)], axis=1)
-        return cls(values, free.shape[1], drift.shape[1], np.array(scale), by_smoothness, group, octaves)
+        both = np.stack(shaped, axis=1)
+        free, prior = _split(np.stack([both.real, -both.imag]))
+        nuisance = np.concatenate(outside, axis=1)
+        values, count = np.concatenate([nuisance, free, prior], axis=1), nuisance.shape[1]
+        return cls(values, count + free.shape[1], count, np.array(scale), by_smoothness)
 
     def filters(self, unknowns: FloatArray) -> ComplexArray:
         """Return the coefficients (R, J, C) of the splines by unknowns (P + Q, C)."""
         references, components = len(self.scale), unknowns.shape[1]
-        free = unknowns[self.drifts : self.free].reshape(2, references, 2, components)
-        prior = unknowns[self.free :].reshape(2, references, -1, components)[:, :, self.octaves :]
+        free = unknowns[self.nuisances : self.free].reshape(2, references, 2, components)
+        prior = unknowns[self.free :].reshape(2, references, -1, components)
         real, imaginary = np.concatenate([free, prior], axis=2)
         return np.asarray(self.by_smoothness @ (real + 1j * imaginary) / self.scale[:, None, None])
 
     def spread(self, squares: FloatArray) -> FloatArray:
-        """Return the spread (Q,) of the prior by expected squares (Q,): equal in a group, smooth over the band."""
-        size = np.bincount(self.group, squares) / np.bincount(self.group)
-        local = np.pad(size[self.octaves :], 2, mode="edge")
-        size[self.octaves :] = np.convolve(local, _NEIGHBOURS, mode="valid")
-        return np.sqrt(np.maximum(size / size.max(), _SMALLEST)[self.group])
+        """Return the spread (Q,) of the prior by expected squares (Q,): equal at one place of the band, and smooth over it."""
+        size = squares.reshape(2 * len(self.scale), -1).mean(axis=0)
+        smooth = np.convolve(np.pad(size, 2, mode="edge"), _NEIGHBOURS, mode="valid")
+        return np.tile(np.sqrt(smooth / smooth.max()), 2 * len(self.scale))
 
 
 def _by_smoothness(count: int) -> FloatArray:
@@ -363,9 +360,10 @@ def _by_smoothness(count: int) -> FloatArray:
     return np.hstack([level, differences.T @ np.linalg.inv(differences @ differences.T)])
 
 
-def _flat(columns: NDArray[Any]) -> NDArray[Any]:
-    """Return columns (N, 2·R·J) of (2, N, R, J)."""
-    return np.moveaxis(columns, 0, 1).reshape(columns.shape[1], -1)
+def _split(columns: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return level and slope (N, 4R), then the second differences (N, 2R(J - 2)), of (2, N, R, J)."""
+    flat = np.moveaxis(columns, 0, 1)
+    return flat[..., :2].reshape(len(flat), -1), flat[..., 2:].reshape(len(flat), -1)
 
 
 def fit_sampled_motion(
@@ -403,8 +401,9 @@ def fit_sampled_motion(
     and slope of H_c are free: references that determine the body by kinematics need no differences. The covariance is
     that of the posterior: noise and the deviations that the frames leave possible. It covers a smooth function on
     average over the band (Nychka, JASA 83 (1988) 1134). A resonance that no reference shows, and only a part of the
-    frames, is covered less often. Motion below the band follows the references with one factor per octave. Cosines
-    below 0.25 Hz model drift. Outlying frames are left out.
+    frames, is covered less often. Outside the band the motion has one factor above it and one per octave below, of
+    which those far below apply to the reference with the fewest derivatives only. Cosines below 0.25 Hz model drift.
+    Outlying frames are left out.
     """
     check_shape("time_s", time_s, (None,))
     check_shape("motion", motion, (len(time_s), None))
@@ -412,7 +411,7 @@ def fit_sampled_motion(
     used = spectra.usable(time_s) & np.isfinite(motion).all(axis=1)
     duration_s = float(np.ptp(time_s[used])) if used.any() else 0.0
     drifts = 2 + int(2.0 * _DRIFT_HZ * duration_s)
-    needed = drifts + 4 * signals.values.shape[1] + MIN_FREE_FRAMES
+    needed = drifts + 2 * len(spectra.outside) + (4 + 2 * _OUTSIDE) * signals.values.shape[1] + MIN_FREE_FRAMES
     if np.count_nonzero(used) < needed:
         found = f"{np.count_nonzero(used)} within the record of the channels"
         raise ValueError(f"motion: expected at least {needed} frames for the unknowns, found {found}")
