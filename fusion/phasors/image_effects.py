@@ -91,16 +91,16 @@ def rigid_image_effects(
     """Return effects (P, K, 6) of calibration, surface, pixel grid and fixed pattern on phasors (K, 6).
 
     Of a motion at more frequencies than its frames resolve: the displacements of the subsets are those of the rigid
-    body. Of an error periodic in the pixel, only the part in proportion to the motion is common to all frames; B·sin(2πu)
-    of a normally distributed motion u has the slope 2πB·exp(-2π²σ²) (describing function), with the phase of a random
-    position. `phasors_of`: phasors (K, 6) of a series (F, 6) by the same estimate.
+    body. Of an error periodic in the pixel, only the part in proportion to the motion is common to all frames:
+    B·sin(2πu) of a normally distributed motion u has the slope 2πB·exp(-2π²σ²) (describing function), with the phase of
+    a random position. `phasors_of`: phasors (K, 6) of a series (F, 6) by the same estimate.
     """
     means = tuple(RunningMean() for _ in view.rig.camera_poses)
     bias_px = np.zeros(len(means))
     for block in view.tracks:
         bias_px = block.bias_px
-        for running, camera in zip(means, block.cameras, strict=True):
-            running.add(camera.position_px)
+        for running, tracked in zip(means, block.cameras, strict=True):
+            running.add(tracked.position_px)
     positions = [running.mean for running in means]
     good = np.flatnonzero(np.isfinite(np.concatenate(positions, axis=1)).all(axis=1))
     good = good[spread_choice(np.arange(len(good)), min(1.0, EFFECT_SUBSETS / max(len(good), 1)))]

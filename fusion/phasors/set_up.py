@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import ChannelReading
-from fusion.phasors.broadband import BroadbandRecord, broadband_channels, broadband_pairs, read_broadband
+from fusion.phasors.broadband import BroadbandRecord, broadband_channels, read_broadband
 from fusion.phasors.channel_phasors import (
     MIN_BEAT_PERIODS,
     ChannelResult,
@@ -68,8 +68,8 @@ class PreparedSetUp:
     """A set-up recorded at once, read and checked; its images are not yet tracked.
 
     `name`: "take 2", empty for a single set-up. `where`: its position in recording.toml. `lines`: on the clock of its
-    first block, None if all its channels are triggers; these have no phasors before `with_channels`. `broadband`: channels of a chirp,
-    noise or blows, None for sines.
+    first block, None if all its channels are triggers; these have no phasors before `with_channels`. `broadband`:
+    channels of a chirp, noise or blows, None for sines.
     """
 
     name: str
@@ -138,10 +138,9 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
     for one, found in zip(tied, _lines(tied), strict=True):
         with errors_in_set_up(one.manifest.path, one.where, one.name):
             broadband = found if isinstance(found, BroadbandRecord) else None
-            if isinstance(found, BroadbandRecord):
-                base, lines = one.base, found.lines
-            else:
-                base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
+            base, lines = one.base, None if broadband is None else broadband.lines
+            if isinstance(found, LineFrequencies):
+                base, lines = refine_ties(one.base, found)
             images = tuple(prepare_images(one.manifest, base, entry, already) for entry in one.manifest.images)
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
             fitted.append(replace(one, base=base, images=images, points=points, lines=lines, broadband=broadband))
@@ -235,6 +234,8 @@ def _broadband_motions(
     prepared: PreparedSetUp, record: BroadbandRecord, followed: Sequence[StereoMotion | RejectedPair]
 ) -> MeasuredSetUp:
     """Fit the motion of every stereo pair by the channels."""
+    from fusion.phasors.broadband_motion import broadband_pairs  # here, for `check` follows no images
+
     seen = [item if isinstance(item, RejectedPair) else reject_decalibrated(item) for item in followed]
     left_out = [item for item in seen if isinstance(item, RejectedPair)]
     motions = (*(item for item in seen if isinstance(item, StereoMotion)), *prepared.points)

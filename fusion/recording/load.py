@@ -254,7 +254,8 @@ def find_single_recording(path: str | Path) -> Path:
 def select_kinds(recordings: Sequence[Path], kinds: Collection[str], *, images: bool = False) -> list[Path]:
     """Return the recordings with one of some kinds of excitation, or that cannot be read.
 
-    With `images` also those with images or points that are evaluated by the spectrum of the channels. If there are none, all are returned, so that the command reports its expectation.
+    With `images` also those with images or points that are evaluated by the spectrum of the channels.
+    If there are none, all are returned, so that the command reports its expectation.
     """
     selected = []
     for recording in recordings:

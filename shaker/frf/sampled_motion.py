@@ -65,7 +65,8 @@ class ReferenceSignals(Arrays, shapes="values S C; order C"):
 class _Spectra:
     """Displacement-like spectra of the references, and splines over the logarithm of the frequency.
 
-    `value` (M, R): at `frequency_hz` (M,), of motion in the band. `outside` (O, M): weights of motion above it, then of octaves below.
+    `value` (M, R): at `frequency_hz` (M,). `weight` (M,), `outside` (O, M): of motion in the band; above it, then in
+    octaves below.
     """
 
     def __init__(self, signals: ReferenceSignals, exposure_s: float) -> None:
@@ -347,7 +348,7 @@ class _Columns:
         return np.asarray(self.by_smoothness @ (real + 1j * imaginary) / self.scale[:, None, None])
 
     def spread(self, squares: FloatArray) -> FloatArray:
-        """Return the spread (Q,) of the prior by expected squares (Q,): equal at one place of the band, and smooth over it."""
+        """Return the spread (Q,) of the prior by expected squares (Q,), smooth over the band."""
         size = squares.reshape(2 * len(self.scale), -1).mean(axis=0)
         smooth = np.convolve(np.pad(size, 2, mode="edge"), _NEIGHBOURS, mode="valid")
         return np.tile(np.sqrt(smooth / smooth.max()), 2 * len(self.scale))
@@ -417,21 +418,22 @@ def fit_sampled_motion(
         raise ValueError(f"motion: expected at least {needed} frames for the unknowns, found {found}")
     phase = np.pi * (time_s[used] - time_s[used][0]) / max(duration_s, 1e-9)
     columns = _Columns.of(spectra, time_s[used], np.cos(np.multiply.outer(phase, np.arange(drifts))))
-    found = _fit(spectra, columns, motion, used)
+    fitted = _fit(spectra, columns, motion, used)
     for _ in range(_ROUNDS):
-        outlying = _outliers(found)[used]
+        outlying = _outliers(fitted)[used]
         if not outlying.any():
             break
         columns, used = replace(columns, values=columns.values[~outlying]), used.copy()
         used[np.flatnonzero(used)[outlying]] = False
-        found = _fit(spectra, columns, motion, used)
-    gains = np.einsum("mj,rjk->mrk", spectra.basis(spectra.frequency_hz), columns.filters(found.unknowns))
-    moving = (
-        np.einsum("mrk,mr->mk", gains, spectra.value) * (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
-    )
+        fitted = _fit(spectra, columns, motion, used)
+    filters, splines = columns.filters(fitted.unknowns), spectra.basis(spectra.frequency_hz)
+    moving = np.zeros((len(splines), motion.shape[1]), dtype=np.complex128)
+    for value, one in zip(spectra.value.T, filters, strict=True):
+        moving += value[:, None] * (splines @ one)
+    moving *= (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
     rate = np.full(motion.shape, np.nan)
     rate[used] = spectra.at_times(moving, time_s[used]).real
-    return replace(found, rate=rate)
+    return replace(fitted, rate=rate)
 
 
 def _fit(spectra: _Spectra, columns: _Columns, motion: FloatArray, used: BoolArray) -> SampledMotion:
