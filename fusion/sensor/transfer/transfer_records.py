@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.estimation.coverage import along_and_across
 from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
-from fusion.phasors.aligned_channels import AlignedChannels, LocatedChannel, align
 from fusion.phasors.timing import ClockResult
 from fusion.recording.daq_records import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
@@ -25,6 +24,9 @@ from shaker.identification.amplitude import AmplitudeEffect
 from shaker.identification.measured_curves import CurveError
 from shaker.identification.oscillator import Resonance
 from shakercal._common.arrays import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from fusion.phasors.aligned_channels import AlignedChannels, LocatedChannel
 
 EstimatorChoice = Literal["auto", "rest", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
@@ -278,6 +280,8 @@ def _together(
     manifest: Manifest, records: Sequence[DaqRecord], selected: Sequence[tuple[str, ChannelEntry]]
 ) -> SynchronousRecord:
     """Return channels, the reference first, on a common grid."""
+    from fusion.phasors.aligned_channels import align  # here, for results are read without it
+
     aligned = align(manifest, records, selected, "excitation.response")
     names, units = zip(*((entry.name, manifest.rig.unit_of(entry.quantity)) for _, entry in selected), strict=True)
     samples = TransferRecord(
