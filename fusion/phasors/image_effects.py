@@ -105,7 +105,7 @@ def rigid_image_effects(
     good = np.flatnonzero(np.isfinite(np.concatenate(positions, axis=1)).all(axis=1))
     good = good[spread_choice(np.arange(len(good)), min(1.0, EFFECT_SUBSETS / max(len(good), 1)))]
     pose = sensor_from_camera(measured.sight.pair)
-    points = locate(view.rig, [position[good] for position in positions]).transformed(pose).position_m[0]
+    points = locate(view.rig, [position[None, good] for position in positions]).transformed(pose).position_m[0]
     frames, motion_px, size_px = list[FloatArray](), np.zeros(len(moved)), list[float]()
     scatter = np.cov(measured.motion.pose[np.isfinite(measured.motion.pose).all(axis=1)].T)
     for position, (camera, from_left) in zip(positions, view.rig.camera_poses, strict=True):
