@@ -82,7 +82,7 @@ class Rig:
     def base_per_table(self, hertz: FloatArray) -> ComplexArray:
         """Return the pose of the base over the stroke of the table, (F, 6)."""
         ratio = hertz[:, None] / self.coupling_hz
-        base: ComplexArray = self.coupling / (1.0 - ratio**2 + 2j * self.coupling_damping * ratio)
+        base = np.asarray(self.coupling / (1.0 - ratio**2 + 2j * self.coupling_damping * ratio), dtype=complex)
         base[:, 2] = 1.0
         return base
 
@@ -94,7 +94,8 @@ class Rig:
         pose = np.linalg.solve(spring + self.tilt - omega**2 * self.mass, spring @ base)
         load = (self.tilt - omega**2 * self.mass) @ pose
         read = self.static @ (self.stiffness + 1j * omega * self.damper_share * self.damping)
-        return pose[..., 0], load[..., 0], read @ np.linalg.inv(spring)
+        matrix = np.asarray(read @ np.linalg.inv(spring), dtype=complex)
+        return np.asarray(pose[..., 0], dtype=complex), np.asarray(load[..., 0], dtype=complex), matrix
 
 
 def make_rig(draw: int, exact: bool = False) -> Rig:
@@ -217,7 +218,7 @@ def ramps(value: complex, times_s: FloatArray) -> tuple[ComplexArray, ComplexArr
     safe = np.where(small, 1.0, argument)
     first = np.where(small, 1.0 + argument / 2.0 + argument**2 / 6.0, np.expm1(safe) / safe)
     second = np.where(small, 0.5 + argument / 6.0 + argument**2 / 24.0, (np.expm1(safe) - safe) / safe**2)
-    return times_s * first, times_s**2 * second
+    return np.asarray(times_s * first, dtype=complex), np.asarray(times_s**2 * second, dtype=complex)
 
 
 def drive(kind: str, times_s: FloatArray, end_s: float, hertz: float, rng: np.random.Generator) -> FloatArray:

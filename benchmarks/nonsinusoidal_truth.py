@@ -286,7 +286,7 @@ def write_recording(order: Order, folder: Path) -> None:
     if order.kind == "sine":
         keys["frequencies"] = [order.hertz]
     else:
-        keys |= {"band": BAND_HZ, "reference": ["velocity_1"]}
+        keys |= {"band": BAND_HZ, "reference": ["base_acceleration" if order.kind == "impact" else "velocity_1"]}
     text = block("", format=1, name=f"{order.kind} {order.draw}", simulated=True, rig="rig.toml")
     text += block("[excitation]", **keys) + block("[[daq]]", name="daq", file="daq.h5", clock_uncertainty=1e-7)
     for name, channel in CHANNELS.items():
