@@ -1,6 +1,6 @@
 """Chirps, noise and blows with cameras: coverage, and agreement with sines on the same rig.
 
-    python benchmarks/nonsinusoidal.py [--draws 10] [--kinds chirp noise impact train] [--only coverage sines] [--write PAGE]
+    python benchmarks/nonsinusoidal.py [--draws 10] [--kinds chirp noise impact train] [--only coverage] [--write PAGE]
 
 Recordings and their truth are those of `nonsinusoidal_truth.py`, with every stated error sampled and the points of
 another program in place of images. The accelerations of the load, and the output Fz per load Fz, are compared with the
@@ -102,16 +102,15 @@ def against_sines() -> Iterator[str]:
         at = int(np.argmin(np.abs(single.lines.frequency_hz - hertz)))
         of_sine, stated = element_of(single)
         one, other = polar[k], stated[at]
-        assert one is not None and other is not None
-        change = value[k] / of_sine[at] - 1.0
+        assert one is not None
+        assert other is not None
+        change, u = value[k] / of_sine[at] - 1.0, (one.expanded_magnitude / one.magnitude, one.expanded_phase_rad)
         cells = [
             f"{hertz:g}",
-            *(
-                f"{100 * p.expanded_magnitude / p.magnitude:.3f} %, {1e3 * p.expanded_phase_rad:.2f} mrad"
-                for p in (one, other)
-            ),
+            f"{100 * u[0]:.3f} %, {1e3 * u[1]:.2f} mrad",
+            f"{100 * other.expanded_magnitude / other.magnitude:.3f} %, {1e3 * other.expanded_phase_rad:.2f} mrad",
             f"{100 * change.real:+.3f} %, {1e3 * change.imag:+.2f} mrad",
-            f"{abs(change.real) / (one.expanded_magnitude / one.magnitude):.2f}, {abs(change.imag) / one.expanded_phase_rad:.2f}",
+            f"{abs(change.real) / u[0]:.2f}, {abs(change.imag) / u[1]:.2f}",
         ]
         print(cells, flush=True)
         yield "| " + " | ".join(cells) + " |"

@@ -53,15 +53,11 @@ def write_recording(folder: Path, kind: str = "noise") -> Path:
         shift = height * (RATIOS[:3] + np.cross(RATIOS[3:], places)) + NOISE_M * rng.standard_normal(places.shape)
         rows += [f"{frame},{n},{x:.12f},{y:.12f},{h:.12f}" for n, (x, y, h) in enumerate(places + shift)]
     (folder / "points.csv").write_text("\n".join(rows) + "\n")
-    centre, internal = (
-        [0.0, 0.0, 0.0],
-        {"internal_centre_of_mass": [0.0, 0.0, 0.0], "internal_inertia": np.zeros((3, 3)).tolist()},
-    )
+    centre, inertia = [0.0, 0.0, 0.0], 1e-3 * np.eye(3)
+    internal = {"internal_centre_of_mass": centre, "internal_inertia": (0.0 * inertia).tolist()}
     rig = block(format=1, name="load on a uniaxial sensor")
     rig += block("sensor", name="uniaxial", channels=["Fz"], unit="V/V", sense="on_load", internal_mass=0.0, **internal)
-    rig += block(
-        "load", mass=MASS_KG, mass_uncertainty=1e-4, centre_of_mass=centre, inertia=(1e-3 * np.eye(3)).tolist()
-    )
+    rig += block("load", mass=MASS_KG, mass_uncertainty=1e-4, centre_of_mass=centre, inertia=inertia.tolist())
     camera = {"rotation": np.eye(3).tolist(), "translation": centre, "pose_uncertainty": [1e-6] * 6}
     rig += block("stereo.top", body="load", exposure=EXPOSURE_S, scale_uncertainty=1e-4, **camera)
     (folder / "rig.toml").write_text(rig)

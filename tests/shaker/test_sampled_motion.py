@@ -66,7 +66,7 @@ def test_frames_without_noise_show_the_transfer_function_and_its_rate():
 
 
 def test_outlying_and_lost_frames_are_left_out():
-    signals, time_s, motion, at_lines = simulated(2)
+    signals, time_s, motion, _ = simulated(2)
     motion[50] = np.nan
     motion[200, 1] += 1e-6
     found = fit_sampled_motion(signals, time_s, motion, EXPOSURE_S)
