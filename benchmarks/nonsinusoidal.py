@@ -28,7 +28,8 @@ from shakercal._common.arrays import ComplexArray
 
 FZ, REFERENCE = 2, "velocity_1"
 NAMES = {"chirp": "sweep, 20 s", "noise": "noise, 20 s", "impact": "blows, 20 s", "train": "rapid blows, 20 s"}
-TRANSLATIONS, ROTATIONS = (0, 1, 2), (3, 4, 5)
+PARTS = {"translations": (0, 1, 2), "rotations": (3, 4, 5)}
+SOURCES, ELEMENT = {"photogrammetry": "cameras alone", "fused": "fused"}, "output Fz per load Fz"
 
 
 def recorded(order: Order) -> tuple[Evaluation, dict[str, Any]]:
@@ -69,25 +70,27 @@ def element_of(evaluation: Evaluation) -> tuple[ComplexArray, list[Polar | None]
 def coverage(kinds: Sequence[str], draws: int) -> Iterator[str]:
     """Yield the rows of each kind of excitation."""
     for kind in kinds:
-        parts = {"translations": Tally(), "rotations": Tally(), "output Fz per load Fz": Tally()}
+        parts = {f"{part}, {of}": Tally() for of in SOURCES.values() for part in PARTS} | {ELEMENT: Tally()}
         expanded = list[float]()
         for draw in range(draws):
             evaluation, truth = recorded(Order(kind=kind, draw=draw, poses=True))
-            fused = next(a for a in evaluation.accelerations if (a.body, a.source) == ("load", "fused"))
-            error = fused.phasors.value - motion_of(evaluation, truth)
-            for name, components in (("translations", TRANSLATIONS), ("rotations", ROTATIONS)):
-                for line, stated in zip(error, fused.polar, strict=True):
-                    for c in components:
-                        parts[name].add(complex(line[c]), stated[c])
+            true_motion = motion_of(evaluation, truth)
+            for found in evaluation.accelerations:
+                if found.body != "load" or found.source not in SOURCES:
+                    continue
+                for line, stated in zip(found.phasors.value - true_motion, found.polar, strict=True):
+                    for name, components in PARTS.items():
+                        for c in components:
+                            parts[f"{name}, {SOURCES[found.source]}"].add(complex(line[c]), stated[c])
             value, polar = element_of(evaluation)
             for one, true, stated_one in zip(
                 value, closed_form(truth, "sensitivity", evaluation)[:, FZ, FZ], polar, strict=True
             ):
-                parts["output Fz per load Fz"].add(complex(one - true), stated_one)
+                parts[ELEMENT].add(complex(one - true), stated_one)
             expanded += [one.expanded_magnitude / one.magnitude for one in polar if one]
             print(kind, draw, {name: float(tally.covered.mean().round(3)) for name, tally in parts.items()}, flush=True)
         for name, tally in parts.items():
-            shown = f"{100 * np.median(expanded):.2g} %" if name.startswith("output") else ""
+            shown = f"{100 * np.median(expanded):.2g} %" if name == ELEMENT else ""
             size = float(np.sqrt(np.mean(tally.normalised**2)))
             cells = [NAMES[kind], name, f"{len(tally.errors)}", f"{100 * tally.covered.mean():.1f} %", f"{size:.2f}"]
             yield "| " + " | ".join([*cells, shown]) + " |"

@@ -161,8 +161,8 @@ def _ratios(
 ) -> tuple[TransferFunction, FloatArray, str]:
     """Return the ratios near frequencies with a signal, these frequencies, and a list of those without.
 
-    With a period: from the means over whole periods. Of a chirp between rest and rest: from the spectra of the record.
-    Otherwise by local polynomials, at the frequencies themselves.
+    With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
+    spectra of the record, interpolated between lines. Otherwise by local polynomials.
     """
     excitation, found = manifest.excitation, None
     try:
@@ -172,7 +172,7 @@ def _ratios(
             )
         elif excitation.kind == "chirp":
             with suppress(ValueError):
-                found = transfer_from_rest((record,), band_hz=band_hz)
+                found = _interpolated(transfer_from_rest((record,), band_hz=band_hz), wanted)
         if found is None:
             resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
             found = transfer_random(record, resolution_hz, estimator="local", band_hz=band_hz, frequency_hz=wanted)
@@ -183,6 +183,16 @@ def _ratios(
     near_lines, wanted = found.at_lines(near), wanted[first]
     seen = near_lines.coherence.max(axis=1, initial=0.0) >= MIN_COHERENCE
     return near_lines.at_lines(seen), wanted[seen], ", ".join(f"{f:.6g}" for f in wanted[~seen])
+
+
+def _interpolated(found: TransferFunction, wanted: FloatArray) -> TransferFunction:
+    """Return ratios at frequencies between lines, of which the nearest one has their uncertainty."""
+    lines_hz, ratio = found.ratio.frequency_hz, found.ratio
+    near = found.at_lines(np.abs(np.subtract.outer(wanted, lines_hz)).argmin(axis=1))
+    parts = [
+        np.interp(wanted, lines_hz, one.real) + 1j * np.interp(wanted, lines_hz, one.imag) for one in ratio.value.T
+    ]
+    return replace(near, ratio=replace(near.ratio, frequency_hz=wanted, value=np.stack(parts, axis=1)))
 
 
 def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputError:

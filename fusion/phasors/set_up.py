@@ -294,6 +294,8 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> Sequence[LineFrequencies | Broad
     all.
     """
     if KINDS[set_ups[0].manifest.excitation.kind].is_broadband:
+        if len(set_ups) > 1:
+            raise set_ups[1].refusal("daq", found="several takes", expected="one take for a chirp, noise or blows")
         return [read_broadband(one.manifest, one.base) for one in set_ups]
     first = find_channel_lines(set_ups[0].manifest, set_ups[0].base)
     if len(set_ups) == 1 or first is None:
