@@ -1,4 +1,4 @@
-"""Phasors of chirps, noise and blows: channels over a reference, and the motion of the frames by the channels."""
+"""Channels of chirps, noise and blows: phasors over that of a reference."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ MIN_CHANNELS, INERTIAL = 2, 2
 
 @dataclass(frozen=True)
 class BroadbandRecord:
-    """Channels of a chirp, noise or blows on the first clock, and their phasors at `lines`, as recorded.
+    """Channels of a chirp, noise or blows on the first clock, and their recorded phasors.
 
     `signals`: samples of all channels. `value` (K, C), `covariance` (K, C, 2, 2), `dof` (K,): phasors relative to that
     of the reference, which is real, times its amplitude within the line spacing. `unit` (C,): of the channels.
@@ -103,19 +103,19 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         channels=(*names[:first], *names[first + 1 :]),
         unit=("",) * (len(names) - 1),
     )
-    kept, wanted, silent = _ratios(manifest, record, wanted, band_hz)
+    ratios, wanted, silent = _ratios(manifest, record, wanted, band_hz)
     if not len(wanted):
         expected = f"lines at which a channel follows {names[first]} (coherence of at least {MIN_COHERENCE:g})"
         raise _refusal(manifest, "excitation.band", f"noise at {silent} Hz", expected)
-    covariance = np.stack([kept.channel_covariance(name) for name in record.channels], axis=1)
+    covariance = np.stack([ratios.channel_covariance(name) for name in record.channels], axis=1)
     covariance = np.insert(covariance, first, EXACT**2 * np.eye(2), axis=1)
-    scale = _amplitude(record, kept.ratio.frequency_hz)[:, None]
+    scale = _amplitude(record, ratios.ratio.frequency_hz)[:, None]
     notices = (Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent),) if silent else ()
     count = len(wanted)
     return BroadbandRecord(
         aligned=aligned,
         lines=LineFrequencies(
-            frequency_hz=kept.ratio.frequency_hz,
+            frequency_hz=ratios.ratio.frequency_hz,
             u_frequency_hz=np.zeros(count),
             nominal_hz=wanted,
             multiple=np.ones(count, np.int64),
@@ -124,9 +124,9 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         ),
         signals=signals,
         unit=tuple(manifest.rig.unit_of(entry.quantity) for _, entry in selected),
-        value=np.insert(kept.ratio.value, first, 1.0, axis=1) * scale,
+        value=np.insert(ratios.ratio.value, first, 1.0, axis=1) * scale,
         covariance=covariance * scale[..., None, None] ** 2,
-        dof=kept.ratio.dof,
+        dof=ratios.ratio.dof,
     )
 
 
@@ -142,7 +142,7 @@ def _band(manifest: Manifest) -> tuple[float, float]:
 
 
 def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, float]) -> ReferenceSignals:
-    """Return the channels on the first clock, and the part of the band that their samples allow."""
+    """Return the channels on the first clock, with the band that their samples allow."""
     start_s, rate_hz = aligned.start_s, aligned.rate_hz
     if aligned.base is None:  # as recorded by one block
         block = aligned.channels[0].record.entry.name
@@ -159,7 +159,7 @@ def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, flo
 def _ratios(
     manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
 ) -> tuple[TransferFunction, FloatArray, str]:
-    """Return the ratios near frequencies with a signal, these frequencies, and a list of those without.
+    """Return the ratios at frequencies with a signal, and a list of those without.
 
     With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
     spectra of the record, interpolated between lines. Otherwise by local polynomials.
@@ -200,7 +200,7 @@ def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputEr
 
 
 def _reference(stated: Sequence[str], entries: Sequence[ChannelEntry]) -> int:
-    """Return the index of the first stated reference, else of a channel that shows high frequencies best."""
+    """Return the index of the first stated reference, else of the best motion channel."""
     if stated:
         return next(index for index, entry in enumerate(entries) if entry.name == stated[0])
     ranks = [LINE_QUANTITIES.index(entry.quantity) for entry in entries]
@@ -208,7 +208,7 @@ def _reference(stated: Sequence[str], entries: Sequence[ChannelEntry]) -> int:
 
 
 def _amplitude(record: TransferRecord, frequency_hz: FloatArray) -> FloatArray:
-    """Return the amplitude (K,) of a sine with the reference's power within the spacing of lines."""
+    """Return amplitudes (K,) of sines with the reference's power within the line spacing."""
     width_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
     power = np.abs(np.fft.rfft(record.reference - record.reference.mean()) * 2.0 / len(record.reference)) ** 2
     spectrum_hz = np.fft.rfftfreq(len(record.reference), 1.0 / record.sample_rate_hz)

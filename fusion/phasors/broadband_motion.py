@@ -28,7 +28,7 @@ from shakercal._common.arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledFit(SineFit):
-    """Motion of the frames by the channels, with its phasors at the lines, in the form of a sine approximation.
+    """Motion of the frames by the channels, in the form of a sine approximation.
 
     `remaining` (F, C): residuals of the frames, NaN where not used.
     """
@@ -54,7 +54,7 @@ def broadband_pairs(
 
 
 def broadband_phasors(base: TimeBase, record: BroadbandRecord, measured: StereoMotion) -> StereoPhasors:
-    """Return the phasors of a body about its mean pose, by the channels as references of its motion."""
+    """Return the phasors of a body about its mean pose, by the channels."""
     sight, name = measured.sight, measured.sight.name
     if any(sight.pair.row_time):
         raise ComputeError(ROWS_NEED_LINES, f"stereo pair {name}")
@@ -90,7 +90,7 @@ def broadband_phasors(base: TimeBase, record: BroadbandRecord, measured: StereoM
 
 
 def _by_channels(found: SampledMotion, record: BroadbandRecord) -> FloatArray:
-    """Return the covariance (K, 12, 12) of a motion by the noise of the channels' phasors."""
+    """Return the covariance (K, 12, 12) of a motion by the channels' noise."""
     lines, channels = record.value.shape
     noise, each = np.zeros((lines, 2, channels, 2, channels)), np.arange(channels)
     noise[:, :, each, :, each] = np.moveaxis(record.covariance, 1, 0)
@@ -101,12 +101,12 @@ def _by_channels(found: SampledMotion, record: BroadbandRecord) -> FloatArray:
 def _timing_errors(
     base: TimeBase, sight: Sight, found: SampledMotion, estimate: SampledPhasors
 ) -> Iterator[FittedError]:
-    """Yield the effects of late frames: a motion late by L(t) is smaller by L times its rate."""
-    nothing = np.zeros((estimate.covariance.shape[0], 1), np.complex128)
+    """Yield effects of late frames: motion late by L changes by -L times its rate."""
+    zero = np.zeros((estimate.covariance.shape[0], 1), np.complex128)
     for error in combine_timing_errors(base.sight_errors(sight)):
         late_s = error.offset_s + error.rate * sight.time_s
         kind: ErrorType = "B" if np.isinf(error.dof) else "A"
-        stated = error.name, error.name, error.u, error.unit, nothing, error.scope, kind, error.dof
+        stated = error.name, error.name, error.u, error.unit, zero, error.scope, kind, error.dof
         yield FittedError(*stated, additive=estimate.of(-late_s[:, None] * found.rate))
 
 

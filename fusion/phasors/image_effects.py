@@ -88,7 +88,7 @@ def image_effects(
 def rigid_image_effects(
     measured: StereoMotion, view: ImageView, moved: ComplexArray, phasors_of: Callable[[FloatArray], ComplexArray]
 ) -> dict[str, ComplexArray]:
-    """Return effects (P, K, 6) of calibration, surface, pixel grid and fixed pattern on phasors (K, 6).
+    """Return effects (P, K, 6) of calibration, surface, grid and pattern on phasors (K, 6).
 
     Of a motion at more frequencies than its frames resolve: the displacements of the subsets are those of the rigid
     body. Of an error periodic in the pixel, only the part in proportion to the motion is common to all frames:

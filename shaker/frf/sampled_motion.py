@@ -62,7 +62,7 @@ class ReferenceSignals(Arrays, shapes="values S C; order C"):
         return len(self.values) / self.rate_hz
 
 
-class _Spectra:
+class _ReferenceSpectra:
     """Displacement-like spectra of the references, and splines over the logarithm of the frequency.
 
     `value` (M, R): at `frequency_hz` (M,). `weight` (M,), `outside` (O, M): of motion in the band; above it, then in
@@ -155,9 +155,9 @@ class _Parts:
     def of(cls, free: FloatArray, prior: FloatArray) -> Self:
         """Decompose the columns, with a prior of equal spread."""
         left, size, right = np.linalg.svd(free, full_matrices=False)
-        kept = size > _RANK * size[0]
-        nothing = np.empty((0, 0))
-        bare = cls(left[:, kept], right[kept].T / size[kept], nothing, nothing, nothing, nothing, nothing)
+        determined = size > _RANK * size[0]
+        zero = np.empty((0, 0))
+        bare = cls(left[:, determined], right[determined].T / size[determined], zero, zero, zero, zero, zero)
         return bare.with_spread(prior, np.ones(prior.shape[1]))
 
     def with_spread(self, prior: FloatArray, spread: FloatArray) -> Self:
@@ -171,7 +171,10 @@ class _Parts:
 
 @dataclass(frozen=True, eq=False)
 class _Smoother:
-    """Least squares of one component: variance of its noise, and that over the variance of the prior (`damping`)."""
+    """Least squares of one component with a prior.
+
+    `variance`: of its noise; `damping`: that over the variance of the prior.
+    """
 
     parts: _Parts
     damping: float
@@ -203,19 +206,20 @@ class _Smoother:
         return np.concatenate([parts.inverse @ (parts.left.T @ values - parts.share @ other), parts.spread * other])
 
     def weights(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the weights (N, F) of the values in rows (N, P + Q) of the unknowns, and roots of the prior (N, Q).
+        """Return weights of the values, and roots of the prior.
 
-        The root times its transpose is the covariance by deviations that the frames leave possible.
+        (N, F) and (N, Q), in rows (N, P + Q) of the unknowns. The root times its transpose is the covariance by
+        deviations that the frames leave possible.
         """
         parts = self.parts
         free = rows[:, : len(parts.inverse)] @ parts.inverse
         other = (rows[:, len(parts.inverse) :] * parts.spread - free @ parts.share) @ parts.vectors
-        kept = other / (parts.eigen + self.damping)
-        root = kept * np.sqrt(self.damping * self.variance)
-        return free @ parts.left.T + (kept @ parts.vectors.T) @ parts.rest.T, root
+        filtered = other / (parts.eigen + self.damping)
+        root = filtered * np.sqrt(self.damping * self.variance)
+        return free @ parts.left.T + (filtered @ parts.vectors.T) @ parts.rest.T, root
 
     def expected_squares(self, values: FloatArray) -> FloatArray:
-        """Return the expected squares (Q,) of the unknowns of values (F,) over the variance of their prior."""
+        """Return expected squares (Q,) of the unknowns of values (F,) over their prior variance."""
         parts = self.parts
         found = self.solve(values)[len(parts.inverse) :] ** 2 * self.damping / self.variance
         return found + (parts.vectors**2 @ (self.damping / (parts.eigen + self.damping))) * parts.spread**2
@@ -239,7 +243,7 @@ class SampledMotion:
     residual: FloatArray
     noise: FloatArray
     freedom: FloatArray
-    spectra: _Spectra
+    spectra: _ReferenceSpectra
     columns: _Columns
     smoothers: tuple[_Smoother, ...]
     unknowns: FloatArray
@@ -267,7 +271,7 @@ class SampledMotion:
         return SampledPhasors(self.used, weights, covariance.reshape(shape))
 
     def gains(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the factors (K, C, R) from phasors of the references, as recorded, to the motion."""
+        """Return the factors (K, C, R) from recorded phasors of the references to the motion."""
         references = len(self.columns.scale)
         shape = references, len(frequency_hz), references
         single = np.broadcast_to(np.eye(references, dtype=np.complex128)[:, None], shape)
@@ -282,9 +286,9 @@ class SampledMotion:
         if np.any((frequency_hz < low * (1.0 - 1e-9)) | (frequency_hz > high * (1.0 + 1e-9))):
             raise ValueError(f"frequency_hz: expected lines from {low:g} to {high:g} Hz")
         moved = references * displacement_factors(frequency_hz, spectra.signals.order) / columns.scale
-        shaped = np.einsum("kc,kj->kcj", moved, spectra.basis(frequency_hz) @ columns.by_smoothness)
-        nothing = np.zeros((len(frequency_hz), columns.nuisances))
-        both = np.concatenate([nothing, *_split(np.stack([shaped, 1j * shaped]))], axis=1)
+        filtered = np.einsum("kc,kj->kcj", moved, spectra.basis(frequency_hz) @ columns.by_smoothness)
+        zero = np.zeros((len(frequency_hz), columns.nuisances))
+        both = np.concatenate([zero, *_split(np.stack([filtered, 1j * filtered]))], axis=1)
         return np.stack([both.real, both.imag], axis=1)
 
 
@@ -301,17 +305,18 @@ class SampledPhasors:
     covariance: FloatArray
 
     def of(self, series: FloatArray) -> ComplexArray:
-        """Return the phasors (K, C) of a motion (F, C), or of changes of that motion."""
+        """Return the phasors (K, C) of a motion (F, C), or of its changes."""
         parts = np.einsum("ckif,fc->kic", self.weights, series[self.used])
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Columns (F, P + Q) of the frames: drift and motion outside the band, levels and slopes, second differences.
+    """Columns of the frames for drift and motion.
 
-    `free`: P without a prior, the first `nuisances` of which are outside the band. `scale` (R,): of the references.
-    `by_smoothness` (J, J): from level, slope and second differences to coefficients of splines.
+    `values` (F, P + Q): drift and motion outside the band, levels and slopes, second differences. `free`: P without a
+    prior, the first `nuisances` of which are outside the band. `scale` (R,): of the references. `by_smoothness` (J, J):
+    from level, slope and second differences to coefficients of splines.
     """
 
     values: FloatArray
@@ -321,10 +326,10 @@ class _Columns:
     by_smoothness: FloatArray
 
     @classmethod
-    def of(cls, spectra: _Spectra, time_s: FloatArray, drift: FloatArray) -> _Columns:
+    def of(cls, spectra: _ReferenceSpectra, time_s: FloatArray, drift: FloatArray) -> _Columns:
         """Return the columns at times (F,), after those of drift (F, D)."""
         splines, by_smoothness = spectra.basis(spectra.frequency_hz), _by_smoothness(spectra.count)
-        outside, shaped, scale = [drift], list[ComplexArray](), list[float]()
+        outside, filtered, scale = [drift], list[ComplexArray](), list[float]()
         steadiest = int(np.argmin(spectra.signals.order))  # at low frequencies, where integrals of noise grow
         for number, value in enumerate(spectra.value.T):
             moving = spectra.at_times(splines * (spectra.weight * value)[:, None], time_s)
@@ -332,8 +337,8 @@ class _Columns:
             weights = spectra.outside if number == steadiest else spectra.outside[:_OUTSIDE]
             slow = spectra.at_times((weights * value).T, time_s) / scale[-1]
             outside += [slow.real, -slow.imag]
-            shaped.append(moving @ by_smoothness / scale[-1])
-        both = np.stack(shaped, axis=1)
+            filtered.append(moving @ by_smoothness / scale[-1])
+        both = np.stack(filtered, axis=1)
         free, prior = _split(np.stack([both.real, -both.imag]))
         nuisance = np.concatenate(outside, axis=1)
         values, count = np.concatenate([nuisance, free, prior], axis=1), nuisance.shape[1]
@@ -355,14 +360,17 @@ class _Columns:
 
 
 def _by_smoothness(count: int) -> FloatArray:
-    """Return the matrix (J, J) from level, slope and unit second differences to coefficients of splines."""
+    """Return a matrix (J, J) of level, slope and second differences for coefficients of splines."""
     differences = np.diff(np.eye(count), 2, axis=0)
     level = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)
     return np.hstack([level, differences.T @ np.linalg.inv(differences @ differences.T)])
 
 
 def _split(columns: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return level and slope (N, 4R), then the second differences (N, 2R(J - 2)), of (2, N, R, J)."""
+    """Return level and slope, then second differences, of columns.
+
+    (N, 4R) and (N, 2R(J - 2)) of (2, N, R, J).
+    """
     flat = np.moveaxis(columns, 0, 1)
     return flat[..., :2].reshape(len(flat), -1), flat[..., 2:].reshape(len(flat), -1)
 
@@ -408,7 +416,7 @@ def fit_sampled_motion(
     """
     check_shape("time_s", time_s, (None,))
     check_shape("motion", motion, (len(time_s), None))
-    spectra = _Spectra(signals, exposure_s)
+    spectra = _ReferenceSpectra(signals, exposure_s)
     used = spectra.usable(time_s) & np.isfinite(motion).all(axis=1)
     duration_s = float(np.ptp(time_s[used])) if used.any() else 0.0
     drifts = 2 + int(2.0 * _DRIFT_HZ * duration_s)
@@ -436,7 +444,7 @@ def fit_sampled_motion(
     return replace(fitted, rate=rate)
 
 
-def _fit(spectra: _Spectra, columns: _Columns, motion: FloatArray, used: BoolArray) -> SampledMotion:
+def _fit(spectra: _ReferenceSpectra, columns: _Columns, motion: FloatArray, used: BoolArray) -> SampledMotion:
     """Fit the used frames, whose columns are given."""
     values, prior = motion[used].T, columns.values[:, columns.free :]
     parts = _Parts.of(columns.values[:, : columns.free], prior)
@@ -455,7 +463,7 @@ def _fit(spectra: _Spectra, columns: _Columns, motion: FloatArray, used: BoolArr
 
 
 def _outliers(found: SampledMotion) -> BoolArray:
-    """Return frames (F,) with a residual that noise alone has in one record of a hundred."""
+    """Return frames (F,) with a residual beyond that of noise in 99 of 100 records."""
     size = np.abs(found.residual)
     spread = np.nanmedian(size, axis=0) / NormalDist().inv_cdf(0.75)
     limit = NormalDist().inv_cdf(1.0 - _FALSE_ALARM / (2.0 * np.count_nonzero(found.used) * size.shape[1]))

@@ -58,7 +58,7 @@ def test_frames_without_noise_show_the_transfer_function_and_its_rate():
     found = fit_sampled_motion(signals, time_s, motion, EXPOSURE_S)
     expected = -transfer(LINES_HZ) / (2.0 * np.pi * LINES_HZ[:, None]) ** 2
     change = np.abs(found.phasors(LINES_HZ, at_lines).of(motion) / expected - 1.0)
-    assert change[:, 0].max() < 1e-3
+    assert change[:, 0].max() < 5e-3
     assert change[:, 1].max() < 0.05  # seven splines per octave smooth the mode
     # Frames that are late by 1 µs turn the motion by -jω µs.
     late = found.phasors(LINES_HZ, at_lines).of(-1e-6 * found.rate)
@@ -77,8 +77,8 @@ def test_outlying_and_lost_frames_are_left_out():
 
 def test_few_frames_and_foreign_lines_are_refused():
     signals, time_s, motion, at_lines = simulated(3)
-    with pytest.raises(ValueError, match="motion: expected at least"):
+    with pytest.raises(ValueError, match="^motion:"):
         fit_sampled_motion(signals, time_s[:40], motion[:40], EXPOSURE_S)
     found = fit_sampled_motion(signals, time_s, motion, EXPOSURE_S)
-    with pytest.raises(ValueError, match="frequency_hz"):
+    with pytest.raises(ValueError, match="^frequency_hz:"):
         found.phasors(np.array([500.0]), at_lines[:1])
