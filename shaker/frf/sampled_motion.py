@@ -26,7 +26,7 @@ _DEGREE = 3
 _RANK = 1e-9  # singular value over the largest, below which a combination of columns is not determined
 _ROUNDS, _FALSE_ALARM = 3, 0.01  # of the search for outliers; probability of one by chance
 _SMOOTHNESS = np.linspace(-2.0, 12.0, 57)  # decades of the variance of the prior's strongest part over the noise
-_COMPATIBLE = 3.84  # rise of twice the logarithm of the likelihood, to the largest variance in a 95 % interval
+_COMPATIBLE = 1.0  # rise of -2·log likelihood to the largest variance within one standard deviation
 _STEPS = 10  # of the local spread of the prior
 _NEIGHBOURS = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
 

@@ -77,8 +77,8 @@ def test_outlying_and_lost_frames_are_left_out():
 
 def test_few_frames_and_foreign_lines_are_refused():
     signals, time_s, motion, at_lines = simulated(3)
-    with pytest.raises(ValueError, match="^motion:"):
+    with pytest.raises(ValueError, match=r"^motion:"):
         fit_sampled_motion(signals, time_s[:40], motion[:40], EXPOSURE_S)
     found = fit_sampled_motion(signals, time_s, motion, EXPOSURE_S)
-    with pytest.raises(ValueError, match="^frequency_hz:"):
+    with pytest.raises(ValueError, match=r"^frequency_hz:"):
         found.phasors(np.array([500.0]), at_lines[:1])
