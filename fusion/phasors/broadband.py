@@ -93,7 +93,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         expected = f"frequencies within the band, {band_hz[0]:g} to {band_hz[1]:g} Hz"
         raise _refusal(manifest, "excitation.frequencies", f"{outside[0]:g} Hz", expected)
     names = [entry.name for _, entry in selected]
-    first = _reference(excitation.reference, [entry for _, entry in selected])
+    first = _reference(manifest, [entry for _, entry in selected])
     record = TransferRecord(
         reference=signals.values[:, first],
         responses=np.delete(signals.values, first, axis=1),
@@ -199,10 +199,13 @@ def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputEr
     return InputError(BROADBAND_REFUSED, manifest.path, key, found=found, expected=expected)
 
 
-def _reference(stated: Sequence[str], entries: Sequence[ChannelEntry]) -> int:
+def _reference(manifest: Manifest, entries: Sequence[ChannelEntry]) -> int:
     """Return the index of the first stated reference, else of the best motion channel."""
+    names, stated = [entry.name for entry in entries], manifest.excitation.reference
+    if stated and stated[0] not in names:
+        raise _refusal(manifest, "excitation.reference", stated[0], f"one of {', '.join(names)}")
     if stated:
-        return next(index for index, entry in enumerate(entries) if entry.name == stated[0])
+        return names.index(stated[0])
     ranks = [LINE_QUANTITIES.index(entry.quantity) for entry in entries]
     return int(np.argmin(ranks))
 

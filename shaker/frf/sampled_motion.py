@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from shaker.sine.phasor import derivative_factor
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 MOST_UNKNOWNS, MOST_KNOTS, FEWEST_KNOTS = 500, 120, 8
 """Unknowns of one component; splines over the band per channel (chosen for time and memory)."""
@@ -96,7 +100,7 @@ class _ReferenceSpectra:
         self._length_s = length / signals.rate_hz
         self._points = next_fast_len(int(np.ceil(self._length_s * self.frequency_hz[-1] / PASS_BAND)) + 1)
 
-    def basis(self, frequency_hz: FloatArray) -> FloatArray:
+    def basis(self, frequency_hz: FloatArray) -> csc_array:
         """Return the cubic splines (M, J) at frequencies, constant outside the band."""
         from scipy.interpolate import BSpline
 
@@ -104,23 +108,29 @@ class _ReferenceSpectra:
         step = (high - low) / (self.count - _DEGREE)
         knots = low + step * np.arange(-_DEGREE, self.count + 1)
         inside = np.clip(np.log(frequency_hz), low, high - 1e-9 * step)
-        return np.asarray(BSpline.design_matrix(inside, knots, _DEGREE).toarray())
+        return BSpline.design_matrix(inside, knots, _DEGREE).tocsc()
 
     def usable(self, time_s: FloatArray) -> BoolArray:
         """Return the times (F,) that are not near the ends of the record."""
         inside = time_s - self.signals.start_s
         return np.asarray((inside > self.margin_s) & (inside < self.signals.duration_s - self.margin_s))
 
-    def at_times(self, spectra: ComplexArray, time_s: FloatArray) -> ComplexArray:
-        """Return the analytic signals (F, N) of spectra (M, N) at times (F,)."""
-        found, reach = np.empty((len(time_s), spectra.shape[1]), dtype=np.complex128), kernel_reach(1.0)
+    def at_times(self, spectra: Iterable[ComplexArray], time_s: FloatArray) -> ComplexArray:
+        """Return the analytic signals (F, N) of N spectra (M,) at times (F,)."""
+        found, reach = list[ComplexArray](), kernel_reach(1.0)
         position = (time_s - self.signals.start_s) * self._points / self._length_s + reach
-        for number, spectrum in enumerate(spectra.T):
+        for spectrum in spectra:
             padded = np.zeros(self._points, dtype=np.complex128)
             padded[self._used] = spectrum
             signal = np.pad(np.fft.ifft(padded) * self._points, reach, mode="wrap")
-            found[:, number] = resample(signal.real, position) + 1j * resample(signal.imag, position)
-        return found
+            found.append(np.asarray(resample(signal.real, position) + 1j * resample(signal.imag, position)))
+        return np.stack(found, axis=1)
+
+
+def _columns_of(matrix: csc_array) -> Iterator[FloatArray]:
+    """Yield the columns of a sparse matrix."""
+    for number in range(matrix.shape[1]):
+        yield matrix[:, [number]].toarray()[:, 0]
 
 
 def displacement_factors(frequency_hz: FloatArray, order: IntArray) -> ComplexArray:
@@ -332,10 +342,11 @@ class _Columns:
         outside, filtered, scale = [drift], list[ComplexArray](), list[float]()
         steadiest = int(np.argmin(spectra.signals.order))  # at low frequencies, where integrals of noise grow
         for number, value in enumerate(spectra.value.T):
-            moving = spectra.at_times(splines * (spectra.weight * value)[:, None], time_s)
+            inside = spectra.weight * value
+            moving = spectra.at_times((spline * inside for spline in _columns_of(splines)), time_s)
             scale.append(max(float(np.std(moving.sum(axis=1).real)), np.finfo(np.float64).tiny))
             weights = spectra.outside if number == steadiest else spectra.outside[:_OUTSIDE]
-            slow = spectra.at_times((weights * value).T, time_s) / scale[-1]
+            slow = spectra.at_times(weights * value, time_s) / scale[-1]
             outside += [slow.real, -slow.imag]
             filtered.append(moving @ by_smoothness / scale[-1])
         both = np.stack(filtered, axis=1)
@@ -435,12 +446,12 @@ def fit_sampled_motion(
         used[np.flatnonzero(used)[outlying]] = False
         fitted = _fit(spectra, columns, motion, used)
     filters, splines = columns.filters(fitted.unknowns), spectra.basis(spectra.frequency_hz)
-    moving = np.zeros((len(splines), motion.shape[1]), dtype=np.complex128)
+    moving = np.zeros((splines.shape[0], motion.shape[1]), dtype=np.complex128)
     for value, one in zip(spectra.value.T, filters, strict=True):
         moving += value[:, None] * (splines @ one)
     moving *= (2j * np.pi * spectra.frequency_hz * spectra.weight)[:, None]
     rate = np.full(motion.shape, np.nan)
-    rate[used] = spectra.at_times(moving, time_s[used]).real
+    rate[used] = spectra.at_times(moving.T, time_s[used]).real
     return replace(fitted, rate=rate)
 
 
