@@ -56,7 +56,7 @@ MIN_CHANNELS, INERTIAL = 2, 2
 class BroadbandRecord:
     """Channels of a chirp, noise or blows on the first clock, and their recorded phasors.
 
-    `signals`: samples of all channels. `value` (K, C), `covariance` (K, C, 2, 2), `dof` (K,): phasors relative to that
+    `signals`: samples of all channels. `value` (K, C), `covariance` (K, 2C, 2C), `dof` (K,): phasors relative to that
     of the reference, which is real, times its amplitude within the line spacing. `unit` (C,): of the channels.
     """
 
@@ -107,8 +107,11 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     if not len(wanted):
         expected = f"lines at which a channel follows {names[first]} (coherence of at least {MIN_COHERENCE:g})"
         raise _refusal(manifest, "excitation.band", f"noise at {silent} Hz", expected)
-    covariance = np.stack([ratios.channel_covariance(name) for name in record.channels], axis=1)
-    covariance = np.insert(covariance, first, EXACT**2 * np.eye(2), axis=1)
+    others = np.delete(np.arange(len(names)), first)
+    both = np.concatenate([others, others + len(names)])
+    covariance = np.zeros((len(wanted), 2 * len(names), 2 * len(names)))
+    covariance[:, both[:, None], both] = ratios.ratio.covariance
+    covariance[:, [first, first + len(names)], [first, first + len(names)]] = EXACT**2
     scale = _amplitude(record, ratios.ratio.frequency_hz)[:, None]
     notices = (Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent),) if silent else ()
     count = len(wanted)
@@ -125,7 +128,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         signals=signals,
         unit=tuple(manifest.rig.unit_of(entry.quantity) for _, entry in selected),
         value=np.insert(ratios.ratio.value, first, 1.0, axis=1) * scale,
-        covariance=covariance * scale[..., None, None] ** 2,
+        covariance=covariance * scale[..., None] ** 2,
         dof=ratios.ratio.dof,
     )
 
@@ -228,9 +231,9 @@ def broadband_channels(
     for c, (channel, samples) in enumerate(zip(record.aligned.channels, record.aligned.values, strict=True)):
         entry, block = channel.entry, channel.record.entry.name
         unit = record.unit[c]
-        raw = Phasors(
-            frequency_hz, record.value[:, c : c + 1], record.covariance[:, c], (entry.name,), (unit,), record.dof
-        )
+        parts = np.array([c, c + record.value.shape[1]])
+        covariance = record.covariance[:, parts[:, None], parts]
+        raw = Phasors(frequency_hz, record.value[:, c : c + 1], covariance, (entry.name,), (unit,), record.dof)
         correction, response = chain_correction(entry, frequency_hz)
         chain = ChainUncertainty(clock=block)
         if response is not None:

@@ -91,11 +91,8 @@ def broadband_phasors(base: TimeBase, record: BroadbandRecord, measured: StereoM
 
 def _by_channels(found: SampledMotion, record: BroadbandRecord) -> FloatArray:
     """Return the covariance (K, 12, 12) of a motion by the channels' noise."""
-    lines, channels = record.value.shape
-    noise, each = np.zeros((lines, 2, channels, 2, channels)), np.arange(channels)
-    noise[:, :, each, :, each] = np.moveaxis(record.covariance, 1, 0)
     gains = real_stacked(found.gains(record.lines.frequency_hz))
-    return np.asarray(gains @ noise.reshape(lines, 2 * channels, -1) @ gains.swapaxes(1, 2))
+    return np.asarray(gains @ record.covariance @ gains.swapaxes(1, 2))
 
 
 def _timing_errors(
