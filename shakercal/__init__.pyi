@@ -20,6 +20,7 @@ from fusion import StepSettings as StepSettings
 from fusion import TransferSettings as TransferSettings
 from fusion import __version__ as __version__
 from fusion import check as check
+from fusion import collect_results as collect_results
 from fusion import draft as draft
 from fusion import evaluate_comparison as evaluate_comparison
 from fusion import evaluate_compensation as evaluate_compensation
@@ -31,12 +32,14 @@ from fusion import evaluate_recording as evaluate_recording
 from fusion import evaluate_rotation as evaluate_rotation
 from fusion import evaluate_steps as evaluate_steps
 from fusion import evaluate_transfer as evaluate_transfer
+from fusion import fetched_campaign as fetched_campaign
 from fusion import find_recordings as find_recordings
 from fusion import live as live
 from fusion import load_for_command as load_for_command
 from fusion import load_manifest as load_manifest
 from fusion import look as look
 from fusion import make_plan as make_plan
+from fusion import query_results as query_results
 from fusion import read_compared as read_compared
 from fusion import read_compensation_filters as read_compensation_filters
 from fusion import read_decoupling_filter as read_decoupling_filter

@@ -211,7 +211,7 @@ def run_path(
     recordings = find_recordings(path)
     alone = not is_campaign(path)
     if not alone:
-        recordings = select_kinds(recordings, kinds_of("run"))
+        recordings = select_kinds(recordings, kinds_of("run"), images=True)
     top = (recordings[0].parent if alone else path) / "results" if output is None else Path(output)
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
     of_store = {} if stored is None else stored.recordings

@@ -316,12 +316,12 @@ def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiple
     indices = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
     of_channel = fit.phasors.at_lines(np.array(indices)).select([channel.name])
     try:
-        return of_channel.scaled(_correction(channel, of_channel.frequency_hz)[0][:, None])
+        return of_channel.scaled(chain_correction(channel, of_channel.frequency_hz)[0][:, None])
     except InputError:
         return None
 
 
-def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[ComplexArray, ChainResponse | None]:
+def chain_correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[ComplexArray, ChainResponse | None]:
     """Return the factor exp(+jω·delay) / response(f) of a channel's phasor, and the response."""
     correction = np.exp(2j * np.pi * frequency_hz * channel.delay)
     if channel.response is None:
@@ -336,14 +336,14 @@ def _result(
     """Correct one channel's phasors for delay and response, and collect the data of its figures."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
     chain = ChainUncertainty(clock=block)
-    correction, response = _correction(channel, phasors.frequency_hz)
+    correction, response = chain_correction(channel, phasors.frequency_hz)
     if response is not None:
         chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
     phasors = phasors.scaled(correction[:, None])
     index = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     uneven_s = None if record.raw[channel.name].stamp_s is None else time_s
-    spectrum = _spectrum(fill_gaps(values), uneven_s, rate_hz) if shown else _NO_SPECTRUM
+    spectrum = channel_spectrum(fill_gaps(values), uneven_s, rate_hz) if shown else _NO_SPECTRUM
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -364,7 +364,7 @@ def _result(
     return result, ChannelReading(channel, phasors, chain)
 
 
-def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz: float) -> Spectrum:
+def channel_spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz: float) -> Spectrum:
     """Return the spectrum of a channel, at uneven times (S,) on the nearest grid."""
     if uneven_s is None:
         return amplitude_spectrum(values, rate_hz, MOST_BINS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +83,49 @@ def image_effects(
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / loss
     return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
+
+
+def rigid_image_effects(
+    measured: StereoMotion, view: ImageView, moved: ComplexArray, phasors_of: Callable[[FloatArray], ComplexArray]
+) -> dict[str, ComplexArray]:
+    """Return effects (P, K, 6) of calibration, surface, grid and pattern on phasors (K, 6).
+
+    Of a motion at more frequencies than its frames resolve: the displacements of the subsets are those of the rigid
+    body. Of an error periodic in the pixel, only the part in proportion to the motion is common to all frames:
+    B·sin(2πu) of a normally distributed motion u has the slope 2πB·exp(-2π²σ²) (describing function), with the phase of
+    a random position. `phasors_of`: phasors (K, 6) of a series (F, 6) by the same estimate.
+    """
+    means = tuple(RunningMean() for _ in view.rig.camera_poses)
+    bias_px = np.zeros(len(means))
+    for block in view.tracks:
+        bias_px = block.bias_px
+        for running, tracked in zip(means, block.cameras, strict=True):
+            running.add(tracked.position_px)
+    positions = [running.mean for running in means]
+    good = np.flatnonzero(np.isfinite(np.concatenate(positions, axis=1)).all(axis=1))
+    good = good[spread_choice(np.arange(len(good)), min(1.0, EFFECT_SUBSETS / max(len(good), 1)))]
+    pose = sensor_from_camera(measured.sight.pair)
+    points = locate(view.rig, [position[None, good] for position in positions]).transformed(pose).position_m[0]
+    frames, motion_px, size_px = list[FloatArray](), np.zeros(len(moved)), list[float]()
+    scatter = np.cov(measured.motion.pose[np.isfinite(measured.motion.pose).all(axis=1)].T)
+    for position, (camera, from_left) in zip(positions, view.rig.camera_poses, strict=True):
+        rates = project_body_points(PlacedCamera(camera, from_left @ pose.inverse()), points).rates
+        parts = [rates @ part for value in moved for part in (value.real, value.imag)]
+        frames.append(np.stack([position[good], *(position[good] + part for part in parts)]))
+        motion_px += np.sqrt(np.nanmean(np.abs(np.einsum("nic,kc->kni", rates, moved)) ** 2, axis=(1, 2)))
+        size_px.append(float(np.nanmean(np.einsum("nic,cd,nid->ni", rates, scatter, rates))))
+    lines = len(moved)
+    effects = dict[str, ComplexArray]()
+    if view.rig.covariance is not None:
+        effects[CALIBRATION] = _calibration_effects(measured, view, frames, lines)[..., :6]
+    periodic, _ = _periodic_effects(measured, view, positions, bias_px, lines)
+    slope = np.sqrt(2.0) * np.pi * np.exp(-2.0 * np.pi**2 * float(np.mean(size_px)))
+    effects[PERIODIC] = periodic * (slope * motion_px / len(means) / PERIODIC_SHARE)[:, None]
+    if view.pattern is not None:
+        effects[PATTERN] = np.array([phasors_of(step) for step in np.moveaxis(view.pattern.change, 1, 0)])
+    if isinstance(view.rig, FaceCamera):
+        effects |= surface_effects(measured, view.rig, frames, view.deformed.shapes)
+    return {what: change for what, change in effects.items() if len(change)}
 
 
 def pattern_reading(measured: StereoMotion, view: ImageView) -> PatternReading | None:

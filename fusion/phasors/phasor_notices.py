@@ -474,6 +474,73 @@ FREQUENCIES_UNSTATED = DeclaredNotice(
     link="recording-format.md",
 )
 
+# Channels at common times.
+
+CHANNELS_NOT_SIMULTANEOUS = DeclaredNotice(
+    "SC-687",
+    "error",
+    "expected channels that were recorded at the same time, found records that do not overlap",
+    remedy="Select channels of simultaneous records.",
+    link="transfer.md",
+)
+DEFECTIVE_SAMPLES = DeclaredNotice(
+    "SC-688",
+    "error",
+    "expected samples within the range of the recorder, without gaps, found a record that {defect}",
+    remedy="Record again, or leave the channel out.",
+    link="transfer.md",
+)
+COARSE_CONVERTER_STEPS = DeclaredNotice(
+    "SC-689",
+    "warning",
+    "The {measure} of the signal is only {size:.2g}{unit}, at converter steps of {step:.4g}.",
+    effect="U does not include the effect of this rounding.",
+    remedy="Use a smaller range of the recorder.",
+    link="transfer.md",
+)
+CHANNELS_RESAMPLED = DeclaredNotice(
+    "SC-690",
+    "note",
+    "Channels of different clocks or rates are resampled at the times of {channel}, {rate_hz:.9g} Hz.",
+    effect="They are used up to {highest_hz:.6g} Hz.",
+    link="transfer.md",
+)
+
+# Chirps, noise and blows with images.
+
+BROADBAND_REFUSED = DeclaredNotice(
+    "SC-939",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The motion of the frames follows from the spectrum of the channels in the band.",
+    remedy="Correct the key; without images use `shakercal transfer`.",
+    link="sweeps.md",
+)
+LINES_WITHOUT_SIGNAL = DeclaredNotice(
+    "SC-944",
+    "warning",
+    "No channel follows the reference at {frequencies} Hz.",
+    effect="These frequencies have no result.",
+    remedy="Excite them, state a narrower `band`, or choose another `reference`.",
+    link="sweeps.md",
+)
+TOO_FEW_FRAMES_FOR_BROADBAND = DeclaredNotice(
+    "SC-947",
+    "error",
+    "{reason}",
+    effect="The frames cannot determine how the body follows the channels.",
+    remedy="Record longer, or with fewer channels.",
+    link="sweeps.md",
+)
+ROWS_NEED_LINES = DeclaredNotice(
+    "SC-948",
+    "error",
+    "The rows of a rolling shutter can be corrected at the lines of sines only.",
+    effect="The pair is not used for a chirp, noise or blows.",
+    remedy="Use cameras with a global shutter, or sines.",
+    link="sweeps.md",
+)
+
 # Takes.
 
 TAKES_REFUSED = DeclaredNotice(

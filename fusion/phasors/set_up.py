@@ -14,6 +14,7 @@ import numpy as np
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import ChannelReading
+from fusion.phasors.broadband import BroadbandRecord, broadband_channels, read_broadband
 from fusion.phasors.channel_phasors import (
     MIN_BEAT_PERIODS,
     ChannelResult,
@@ -46,6 +47,7 @@ from fusion.phasors.stereo_motion import (
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.phasors.tracked_blocks import tracked_pairs
 from fusion.recording.daq_records import FileCache, errors_in_set_up, read_set_ups
+from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
@@ -66,7 +68,8 @@ class PreparedSetUp:
     """A set-up recorded at once, read and checked; its images are not yet tracked.
 
     `name`: "take 2", empty for a single set-up. `where`: its position in recording.toml. `lines`: on the clock of its
-    first block, None if all its channels are triggers; these have no phasors before `with_channels`.
+    first block, None if all its channels are triggers; these have no phasors before `with_channels`. `broadband`:
+    channels of a chirp, noise or blows, None for sines.
     """
 
     name: str
@@ -78,6 +81,7 @@ class PreparedSetUp:
     lines: LineFrequencies | None = None
     channels: tuple[ChannelResult, ...] = ()
     readings: tuple[ChannelReading, ...] = ()
+    broadband: BroadbandRecord | None = None
 
     def refusal(self, key: str, *, found: str, expected: str) -> InputError:
         """Return the error at a key of the set-up."""
@@ -133,10 +137,13 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
     fitted = []
     for one, found in zip(tied, _lines(tied), strict=True):
         with errors_in_set_up(one.manifest.path, one.where, one.name):
-            base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
+            broadband = found if isinstance(found, BroadbandRecord) else None
+            base, lines = one.base, None if broadband is None else broadband.lines
+            if isinstance(found, LineFrequencies):
+                base, lines = refine_ties(one.base, found)
             images = tuple(prepare_images(one.manifest, base, entry, already) for entry in one.manifest.images)
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
-            fitted.append(replace(one, base=base, images=images, points=points, lines=lines))
+            fitted.append(replace(one, base=base, images=images, points=points, lines=lines, broadband=broadband))
     return tuple(fitted)
 
 
@@ -145,7 +152,10 @@ def with_channels(prepared: PreparedSetUp, *, shown: bool = True) -> PreparedSet
     if prepared.lines is None:
         return prepared
     with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
-        channels, readings = channel_phasors(prepared.manifest, prepared.base, prepared.lines, shown=shown)
+        if prepared.broadband is not None:
+            channels, readings = broadband_channels(prepared.base, prepared.broadband)
+        else:
+            channels, readings = channel_phasors(prepared.manifest, prepared.base, prepared.lines, shown=shown)
     return replace(prepared, channels=channels, readings=readings)
 
 
@@ -163,7 +173,8 @@ def measure_set_ups(
     """
     fitted, measured = list[PreparedSetUp](), list[MeasuredSetUp]()
     for prepared in set_ups:
-        with tracked_pairs(prepared.images, settings, executor, checkpoints, prepared.lines) as motions:
+        lines = None if prepared.broadband is not None else prepared.lines
+        with tracked_pairs(prepared.images, settings, executor, checkpoints, lines) as motions:
             fitted = fitted or [with_channels(each) for each in set_ups]
             prepared.base.pulse_widths()  # stored by the records, which provide them later
             with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
@@ -179,6 +190,8 @@ def fit_motions(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejec
     from fusion.phasors.shutter_refinement import refine_rolling_shutter  # here, for `check` follows no images
     from fusion.phasors.stereo_phasors import pairs_phasors
 
+    if prepared.broadband is not None:
+        return _broadband_motions(prepared, prepared.broadband, followed)
     manifest, base = prepared.manifest, prepared.base
     lines_hz = (
         np.array(manifest.excitation.frequencies or ()) if prepared.lines is None else prepared.lines.frequency_hz
@@ -215,6 +228,21 @@ def fit_motions(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejec
     readings = enlarge_doubted(prepared.readings, changes, distortions(prepared.channels, lines))
     rejections = tuple(item.notice for item in left_out)
     return MeasuredSetUp(replace(prepared, readings=readings), lines, stereo, (*rejections, *aliased))
+
+
+def _broadband_motions(
+    prepared: PreparedSetUp, record: BroadbandRecord, followed: Sequence[StereoMotion | RejectedPair]
+) -> MeasuredSetUp:
+    """Fit the motion of every stereo pair by the channels."""
+    from fusion.phasors.broadband_motion import broadband_pairs  # here, for `check` follows no images
+
+    seen = [item if isinstance(item, RejectedPair) else reject_decalibrated(item) for item in followed]
+    left_out = [item for item in seen if isinstance(item, RejectedPair)]
+    motions = (*(item for item in seen if isinstance(item, StereoMotion)), *prepared.points)
+    stereo, unfitted = broadband_pairs(prepared.base, record, motions)
+    left_out += unfitted
+    _check_left(prepared, stereo, left_out)
+    return MeasuredSetUp(prepared, record.lines, stereo, tuple(item.notice for item in left_out))
 
 
 def _as_stated(
@@ -259,12 +287,16 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
 # The lines of all set-ups.
 
 
-def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
+def _lines(set_ups: Sequence[PreparedSetUp]) -> Sequence[LineFrequencies | BroadbandRecord | None]:
     """Find the lines of every set-up on its clock.
 
     The same in all, and in the same order. A harmonic that one set-up cannot separate from another line is omitted from
     all.
     """
+    if KINDS[set_ups[0].manifest.excitation.kind].is_broadband:
+        if len(set_ups) > 1:
+            raise set_ups[1].refusal("daq", found="several takes", expected="one take for a chirp, noise or blows")
+        return [read_broadband(one.manifest, one.base) for one in set_ups]
     first = find_channel_lines(set_ups[0].manifest, set_ups[0].base)
     if len(set_ups) == 1 or first is None:
         return [first for _ in set_ups]

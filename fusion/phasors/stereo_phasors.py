@@ -219,7 +219,7 @@ def stereo_phasors(
         deflection=_deflection(measured, frequency_hz),
         stationarity=stationarity(time_s, np.where(steady, from_mean.pose, np.nan), frequency_hz, MOTION_COMPONENTS),
     )
-    result = result if view is None else _with_view(replace(result, shapes=shapes), view)
+    result = result if view is None else with_view(replace(result, shapes=shapes), view)
     return StereoPhasors(result, reading, _named(measured, of_phasors))
 
 
@@ -374,7 +374,7 @@ def _jitter_notices(
     return notices
 
 
-def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
+def with_view(result: StereoResult, view: ImageView) -> StereoResult:
     """Add the results of images: first image, subsets, noise, and predicted and measured scatter."""
     sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:

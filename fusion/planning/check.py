@@ -213,6 +213,7 @@ def read_as_command(manifest: Manifest, already: FileCache) -> list[Notice]:
     Its modules are imported only for that command.
     """
     command, notices = KINDS[manifest.excitation.kind].commands[0], list[Notice]()
+    command = "run" if manifest.is_broadband else command
     manifest.check_command(command)
     if command == "run":
         from fusion.phasors.set_up import prepare_set_ups, with_channels

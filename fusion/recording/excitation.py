@@ -228,6 +228,11 @@ class ExcitationKind:
     readings_in_table: bool = False
 
     @property
+    def is_broadband(self) -> bool:
+        """Whether `run` evaluates recordings with images or points, by the spectrum of their channels."""
+        return self.commands == ("transfer",)
+
+    @property
     def needs_uniform_samples(self) -> bool:
         """Whether channels must be sampled uniformly; sines are fitted at any times."""
         return self.commands[0] != "run"
@@ -244,16 +249,20 @@ KINDS = {
     "chirp": ExcitationKind(
         commands=("transfer",),
         required=("direction", "band"),
-        allowed=("period", "settle_periods", "response", "reference"),
+        allowed=("frequencies", "period", "settle_periods", "response", "reference"),
     ),
     "multisine": ExcitationKind(
         commands=("run", "transfer"),
         required=("direction",),
         allowed=("frequencies", "harmonics", "band", "period", "settle_periods", "response", "reference"),
     ),
-    "noise": ExcitationKind(commands=("transfer",), required=("direction",), allowed=("band", "response", "reference")),
-    "impact": ExcitationKind(
-        commands=("transfer",), required=("direction",), allowed=("band", "response", "reference")
+    **dict.fromkeys(
+        ("noise", "impact"),
+        ExcitationKind(
+            commands=("transfer",),
+            required=("direction",),
+            allowed=("frequencies", "band", "response", "reference"),
+        ),
     ),
     "step": ExcitationKind(
         commands=("step", "load", "decouple"),

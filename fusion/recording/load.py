@@ -162,10 +162,16 @@ class Manifest:
             if item.stated is not None and (item.stated.valid_until or day) < day
         )
 
+    @property
+    def is_broadband(self) -> bool:
+        """Whether `run` evaluates the motion of images or points by the spectrum of the channels."""
+        seen = [one for _, block in self.set_ups for one in (*block.images, *block.points)]
+        return KINDS[self.excitation.kind].is_broadband and bool(seen)
+
     def check_command(self, command: str) -> None:
         """Raise `InputError` if `shakercal COMMAND` does not evaluate this recording."""
         kind, kinds = self.excitation.kind, kinds_of(command)
-        if kind not in kinds:
+        if kind not in kinds and not (command == "run" and self.is_broadband):
             which = "kind" if len(kinds) == 1 else "kinds"
             other = f"(shakercal {KINDS[kind].commands[0]} evaluates this one)"
             expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates {other}"
@@ -247,19 +253,22 @@ def find_single_recording(path: str | Path) -> Path:
     return found[0]
 
 
-def select_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
+def select_kinds(recordings: Sequence[Path], kinds: Collection[str], *, images: bool = False) -> list[Path]:
     """Return the recordings with one of some kinds of excitation, or that cannot be read.
 
+    With `images` also those with images or points that are evaluated by the spectrum of the channels.
     If there are none, all are returned, so that the command reports its expectation.
     """
     selected = []
     for recording in recordings:
         try:
-            excitation = read_toml(recording).get("excitation")
+            text = read_toml(recording)
         except InputError:
-            excitation = None
+            text = {}
+        excitation = text.get("excitation")
         kind = excitation.get("kind") if isinstance(excitation, dict) else None
-        if not isinstance(kind, str) or kind in kinds:
+        seen = images and kind in KINDS and KINDS[kind].is_broadband and bool(text.keys() & {"images", "points"})
+        if not isinstance(kind, str) or kind in kinds or seen:
             selected.append(recording)
     return selected or list(recordings)
 
@@ -296,7 +305,7 @@ def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside
     manifests: dict[Path, Manifest] = {}
     for path in paths:
         recordings = find_recordings(path)
-        chosen = select_kinds(recordings, kinds)
+        chosen = select_kinds(recordings, kinds, images=command == "run")
         for recording in chosen:
             manifest = load_manifest(recording, allow_outside=allow_outside)
             manifest.check_command(command)

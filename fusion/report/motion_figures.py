@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import prefix
+from fusion.phasors.broadband_motion import SampledFit
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import (
@@ -187,7 +188,10 @@ MOST_PERCENT = 45.0
 
 def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
     """Return all figures of one stereo pair."""
-    figures = [draw_motion(stereo), draw_residuals(stereo)]
+    figures = [
+        draw_sampled_motion(stereo) if isinstance(stereo.fit, SampledFit) else draw_motion(stereo),
+        draw_residuals(stereo),
+    ]
     if len(stereo.time_s) >= 8:
         figures.append(draw_residual_spectrum(stereo))
     if stereo.epipolar is not None:
@@ -230,6 +234,30 @@ def draw_motion(stereo: StereoResult) -> Figure:
         f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
         f"curve is drawn at the beat frequency of {beat:.4f} Hz, the alias of "
         f"{frequency:.4f} Hz at this camera rate; it equals the fit at every frame. Right, frames ordered by phase."
+    )
+    return drawn.with_title(f"Motion seen by {stereo.name}", caption)
+
+
+def draw_sampled_motion(stereo: StereoResult) -> Figure:
+    """Draw six components over time and over the motion that the channels predict."""
+    poses, fitted = stereo.motion_from_mean.pose, stereo.motion_from_mean.pose - stereo.residual
+    drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
+    for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
+        factor, letter = prefix(poses[:, :3] if component < 3 else poses[:, 3:])
+        seen, predicted = poses[:, component] / factor, fitted[:, component] / factor
+        left.points(stereo.time_s, seen, **MEASURED)
+        left.points(stereo.time_s, predicted, label="by the channels", colour=RED, size=2.0)
+        left.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
+        left.x.link = f"time of {stereo.name}"
+        right.points(predicted, seen, **MEASURED)
+    drawn.panels[0].title = "at the exposure times"
+    drawn.panels[1].title = "over the motion by the channels"
+    drawn.panels[-2].x.label = "time / s"
+    drawn.panels[-1].x.label = "in the same unit"
+    caption = (
+        f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: {len(stereo.time_s)} "
+        f"frames at {camera_rate_hz(stereo):.4f} Hz, and the drift and motion that the channels give with the fitted "
+        "transfer functions."
     )
     return drawn.with_title(f"Motion seen by {stereo.name}", caption)
 

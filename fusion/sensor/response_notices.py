@@ -20,35 +20,6 @@ WRONG_CHANNEL_NAME = DeclaredNotice(
     remedy="Correct the name, or rename the channel.",
     link="transfer.md",
 )
-CHANNELS_NOT_SIMULTANEOUS = DeclaredNotice(
-    "SC-687",
-    "error",
-    "expected channels that were recorded at the same time, found records that do not overlap",
-    remedy="Select channels of simultaneous records.",
-    link="transfer.md",
-)
-DEFECTIVE_SAMPLES = DeclaredNotice(
-    "SC-688",
-    "error",
-    "expected samples within the range of the recorder, without gaps, found a record that {defect}",
-    remedy="Record again, or leave the channel out.",
-    link="transfer.md",
-)
-COARSE_CONVERTER_STEPS = DeclaredNotice(
-    "SC-689",
-    "warning",
-    "The {measure} of the signal is only {size:.2g}{unit}, at converter steps of {step:.4g}.",
-    effect="U does not include the effect of this rounding.",
-    remedy="Use a smaller range of the recorder.",
-    link="transfer.md",
-)
-CHANNELS_RESAMPLED = DeclaredNotice(
-    "SC-690",
-    "note",
-    "Channels of different clocks or rates are resampled at the times of {channel}, {rate_hz:.9g} Hz.",
-    effect="They are used up to {highest_hz:.6g} Hz.",
-    link="transfer.md",
-)
 PERIOD_WITHOUT_SIGNAL = DeclaredNotice(
     "SC-691",
     "error",

@@ -244,9 +244,9 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
 
 @cache
 def nine_points(side_px: int) -> FloatArray:
-    """Return offsets (9, 2) from a cell's centre to the pixels at which interpolated noise is evaluated.
+    """Return offsets (9, 2) from a cell's centre to the pixels of its noise.
 
-    Only pixels have the sub-pixel position of all others: noise depends on it.
+    Interpolated noise depends on the sub-pixel position, which pixels share.
     """
     last = side_px - 1
     near = round(side_px / 6 - 0.5)

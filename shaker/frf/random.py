@@ -285,6 +285,7 @@ def transfer_random(
     estimator: Literal["auto", "local", "H1", "H2", "Hv"] = "auto",
     noise_ratio: float | None = None,
     band_hz: tuple[float, float] | None = None,
+    frequency_hz: FloatArray | None = None,
 ) -> TransferFunction:
     """Estimate transfer functions from a stationary random excitation at equidistant lines.
 
@@ -300,6 +301,8 @@ def transfer_random(
         Ratio of the noise powers, response over reference, for Hv; default: estimated from the coherence.
     band_hz
         Band in Hz; default: all lines.
+    frequency_hz
+        (K,), other lines in Hz, of which "local" needs no grid; default: multiples of the resolution.
 
     Returns
     -------
@@ -335,6 +338,7 @@ def transfer_random(
     TransferFunction(local over force: Phasors(497 lines from 3 to 499 Hz: z [m/N]))
     """
     length, lines_hz = _select_lines(record, resolution_hz, band_hz)
+    lines_hz = lines_hz if frequency_hz is None else frequency_hz
     enough = len(record.reference) >= MIN_SEGMENTS * length
     local = estimator == "local" or (estimator == "auto" and enough)
     estimate = (local_spectra if local else averaged_spectra)(record, length, lines_hz)
@@ -348,7 +352,7 @@ def transfer_random(
     covariance = noise + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
     notices = [selection.notice(record.reference_name, estimate.method)]
     cause, dof = "A polynomial over five lines" if local else "Leakage", np.full(len(lines_hz), estimate.dof)
-    for c, name in enumerate(record.channels):
+    for c, name in enumerate(record.channels if frequency_hz is None else ()):
         notices += resolution_notices(lines_hz, ratio[:, c], np.sqrt(noise[:, c, c]), name, cause)
     return TransferFunction(
         ratio=Phasors(lines_hz, ratio, covariance, record.channels, record.ratio_unit, dof),

@@ -555,6 +555,15 @@ def kernel_reach(share: float) -> int:
     return int(np.ceil(0.5 * taps))
 
 
+@lru_cache(maxsize=4)
+def _kernel(share: float) -> FloatArray:
+    """Return weights of the samples around a time, by its phase between two samples."""
+    reach = kernel_reach(share)
+    distance = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
+    table = np.sinc(share * distance) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (distance / reach) ** 2)))
+    return np.asarray(table / table.sum(axis=1, keepdims=True))
+
+
 def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> FloatArray:
     """Return samples (S,) at fractional positions (T,), counted in samples from the first one.
 
@@ -573,10 +582,7 @@ def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> F
         raise ValueError(
             f"position: expected {reach - 1} to {len(samples) - reach} samples, found {low:.1f} to {high:.1f}"
         )
-    # Weights of the samples around a time, by its phase between two samples.
-    distance = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
-    table = np.sinc(share * distance) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (distance / reach) ** 2)))
-    table /= table.sum(axis=1, keepdims=True)
+    table = _kernel(share)
     offsets = np.arange(1 - reach, reach + 1)
     found = np.empty(len(position))
     for start in range(0, len(position), _BLOCK):

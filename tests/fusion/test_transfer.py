@@ -18,6 +18,7 @@ from support import AT_ORIGIN, DOCS, block, channel, documented_columns, edit, r
 
 from fusion.cli import main
 from fusion.errors import InputError
+from fusion.phasors.phasor_notices import CHANNELS_RESAMPLED
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import TRANSDUCERS
@@ -347,7 +348,7 @@ def test_channels_of_two_clocks_are_read_on_one(tmp_path, rates):
     evaluation = evaluate_transfer(load_manifest(folder), TransferSettings(), {})
     (result,) = evaluation.references
     assert len(evaluation.clocks) == 2
-    assert raised.CHANNELS_RESAMPLED.code in {notice.code for notice in evaluation.notices}
+    assert CHANNELS_RESAMPLED.code in {notice.code for notice in evaluation.notices}
     frequency = result.transfer.ratio.frequency_hz
     assert len(frequency) == 176
     true = SLOW.transmissibility(frequency)

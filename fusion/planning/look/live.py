@@ -472,6 +472,9 @@ def _cameras_only(path: Path, allow_outside: bool) -> Manifest:
     if not allow_outside and not path.parent.resolve().is_relative_to(manifest.root):
         load_manifest(path)  # raises the refusal
     manifest.check_command("run")
+    if manifest.is_broadband:
+        found, expected = manifest.excitation.kind, "sines or a multisine"
+        raise InputError(LIVE_NOT_POSSIBLE, path, "excitation.kind", found=found, expected=expected)
     for name, pair in manifest.rig.stereo.items():
         if any(pair.row_time) and any(entry.stereo == name for entry in manifest.images):
             found, expected = "a rolling shutter", "rows that are exposed at once"

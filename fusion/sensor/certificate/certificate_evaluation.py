@@ -20,7 +20,13 @@ from fusion.campaign.joint_evaluation import (
 )
 from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
 from fusion.errors import InputError
-from fusion.phasors.phasor_notices import CAMERA_DELAYED, COARSE_ROWS, PERIODIC_JITTER, SHUTTER_NOT_CONVERGED
+from fusion.phasors.phasor_notices import (
+    CAMERA_DELAYED,
+    COARSE_CONVERTER_STEPS,
+    COARSE_ROWS,
+    PERIODIC_JITTER,
+    SHUTTER_NOT_CONVERGED,
+)
 from fusion.recording.acknowledged import acknowledge
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, load_manifest, select_kinds
@@ -59,7 +65,6 @@ from fusion.sensor.certificate.certificate_refusals import (
 )
 from fusion.sensor.certificate.certificate_traceability import MainValue, least_certified
 from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
-from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
@@ -99,7 +104,7 @@ def evaluate_certificate(
     if command is not None:
         recordings = select_recordings(recordings, top, command)
     elif not is_single:
-        recordings = select_kinds(recordings, kinds_of("run"))
+        recordings = select_kinds(recordings, kinds_of("run"), images=True)
     form_path = folder / FORM_FILE if form_path is None else form_path
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
     problems = list[InputError]()

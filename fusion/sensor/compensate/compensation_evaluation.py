@@ -12,6 +12,7 @@ import numpy as np
 from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
+from fusion.phasors.aligned_channels import align
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor import model_notices as declared
@@ -30,7 +31,6 @@ from fusion.sensor.compensate.compensation_subjects import (
     select_subjects,
     wrong_option,
 )
-from fusion.sensor.transfer.transfer_records import align
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice
 from shaker.compensation.effects import (
     MODEL_ERROR_SHARE,

@@ -45,7 +45,7 @@ class PoleValue(NamedTuple):
 
 
 def is_data_file(path: Path) -> bool:
-    """Whether a path, which may be missing, is a file of channels, not a manifest or a folder."""
+    """Whether a path is a file of channels, possibly missing; not a manifest or folder."""
     return path.suffix.lower() not in ("", ".toml") and not path.is_dir()
 
 

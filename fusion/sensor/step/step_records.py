@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 
 from fusion.errors import InputError
+from fusion.phasors.aligned_channels import AlignedChannels, align
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
 from fusion.sensor import model_notices as declared
-from fusion.sensor.transfer.transfer_records import AlignedChannels, align
 from shaker.release.record import StepRecord, locate_change, peaks_hz
 from shaker.timebase.edges import kernel_reach, resample
 from shakercal._common.notices import Notice

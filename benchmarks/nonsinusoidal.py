@@ -1,0 +1,143 @@
+"""Chirps, noise and blows with cameras: coverage, and agreement with sines on the same rig.
+
+    python benchmarks/nonsinusoidal.py [--draws 10] [--kinds chirp noise impact train] [--only coverage] [--write PAGE]
+
+Recordings and their truth are those of `nonsinusoidal_truth.py`, with every stated error sampled and the points of
+another program in place of images. The accelerations of the load, and the output Fz per load Fz, are compared with the
+closed form at ten frequencies. Sines: ten recordings of the same rig, of 4 s each, with the same sampled errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from coverage_statistics import Tally
+from marked import existing_file, markdown_table, write_marked
+from nonsinusoidal_truth import SINES_HZ, Order, write
+
+from fusion.estimation.coverage import Polar
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.recording_evaluation import evaluate_recording
+from shakercal._common.arrays import ComplexArray
+
+FZ, REFERENCE = 2, "velocity_1"
+NAMES = {"chirp": "sweep, 20 s", "noise": "noise, 20 s", "impact": "blows, 20 s", "train": "rapid blows, 20 s"}
+PARTS = {"translations": (0, 1, 2), "rotations": (3, 4, 5)}
+SOURCES, ELEMENT = {"photogrammetry": "cameras alone", "fused": "fused"}, "output Fz per load Fz"
+
+
+def recorded(order: Order) -> tuple[Evaluation, dict[str, Any]]:
+    """Return a simulated recording as evaluated, and its truth."""
+    with TemporaryDirectory() as top:
+        folder = Path(top) / "recording"
+        truth = write(order, folder)
+        if order.kind != "sine":
+            manifest = folder / "recording.toml"
+            stated = f"[excitation]\nfrequencies = {json.dumps(list(SINES_HZ))}\n"
+            manifest.write_text(manifest.read_text("utf-8").replace("[excitation]\n", stated, 1), encoding="utf-8")
+        return evaluate_recording(folder), truth
+
+
+def closed_form(truth: dict[str, Any], name: str, evaluation: Evaluation) -> ComplexArray:
+    """Return a quantity of the truth at the lines of an evaluation."""
+    hertz = np.array(truth["frequencies"])
+    near = np.abs(np.subtract.outer(evaluation.lines.nominal_hz, hertz)).argmin(axis=1)
+    return np.asarray(np.array(truth[name]["re"])[near] + 1j * np.array(truth[name]["im"])[near])
+
+
+def motion_of(evaluation: Evaluation, truth: dict[str, Any]) -> ComplexArray:
+    """Return the true accelerations (K, 6) that belong to the recorded phasors of the first laser."""
+    seen = next(channel for channel in evaluation.channels if channel.name == REFERENCE).phasors
+    errors = truth["sampled_errors"][REFERENCE]
+    chain = errors["factor"] * np.exp(-2j * np.pi * seen.frequency_hz * errors["delay_s"])
+    return np.asarray(closed_form(truth, "acceleration_per_velocity", evaluation) * (seen.value / chain[:, None]))
+
+
+def element_of(evaluation: Evaluation) -> tuple[ComplexArray, list[Polar | None]]:
+    """Return the element Fz per Fz at the lines, and its uncertainty."""
+    found = evaluation.element
+    assert found is not None
+    place = found.elements.index((FZ, FZ))
+    return np.asarray(found.value[:, FZ, FZ]), [line[place] for line in found.polar]
+
+
+def coverage(kinds: Sequence[str], draws: int) -> Iterator[str]:
+    """Yield the rows of each kind of excitation."""
+    for kind in kinds:
+        parts = {f"{part}, {of}": Tally() for of in SOURCES.values() for part in PARTS} | {ELEMENT: Tally()}
+        expanded = list[float]()
+        for draw in range(draws):
+            evaluation, truth = recorded(Order(kind=kind, draw=draw, poses=True))
+            true_motion = motion_of(evaluation, truth)
+            for found in evaluation.accelerations:
+                if found.body != "load" or found.source not in SOURCES:
+                    continue
+                for line, stated in zip(found.phasors.value - true_motion, found.polar, strict=True):
+                    for name, components in PARTS.items():
+                        for c in components:
+                            parts[f"{name}, {SOURCES[found.source]}"].add(complex(line[c]), stated[c])
+            value, polar = element_of(evaluation)
+            for one, true, stated_one in zip(
+                value, closed_form(truth, "sensitivity", evaluation)[:, FZ, FZ], polar, strict=True
+            ):
+                parts[ELEMENT].add(complex(one - true), stated_one)
+            expanded += [one.expanded_magnitude / one.magnitude for one in polar if one]
+            print(kind, draw, {name: float(tally.covered.mean().round(3)) for name, tally in parts.items()}, flush=True)
+        for name, tally in parts.items():
+            shown = f"{100 * np.median(expanded):.2g} %" if name == ELEMENT else ""
+            size = float(np.sqrt(np.mean(tally.normalised**2)))
+            cells = [NAMES[kind], name, f"{len(tally.errors)}", f"{100 * tally.covered.mean():.1f} %", f"{size:.2f}"]
+            yield "| " + " | ".join([*cells, shown]) + " |"
+
+
+def against_sines() -> Iterator[str]:
+    """Yield a row for each frequency: U of both and their difference."""
+    swept, _ = recorded(Order(kind="chirp", poses=True))
+    value, polar = element_of(swept)
+    for k, hertz in enumerate(SINES_HZ):
+        single, _ = recorded(Order(kind="sine", hertz=hertz, poses=True, duration_s=4.0))
+        at = int(np.argmin(np.abs(single.lines.frequency_hz - hertz)))
+        of_sine, stated = element_of(single)
+        one, other = polar[k], stated[at]
+        assert one is not None
+        assert other is not None
+        change, u = value[k] / of_sine[at] - 1.0, (one.expanded_magnitude / one.magnitude, one.expanded_phase_rad)
+        cells = [
+            f"{hertz:g}",
+            f"{100 * u[0]:.3f} %, {1e3 * u[1]:.2f} mrad",
+            f"{100 * other.expanded_magnitude / other.magnitude:.3f} %, {1e3 * other.expanded_phase_rad:.2f} mrad",
+            f"{100 * change.real:+.3f} %, {1e3 * change.imag:+.2f} mrad",
+            f"{abs(change.real) / u[0]:.2f}, {abs(change.imag) / u[1]:.2f}",
+        ]
+        print(cells, flush=True)
+        yield "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=10)
+    parser.add_argument("--kinds", nargs="+", choices=tuple(NAMES), default=tuple(NAMES))
+    parser.add_argument("--only", nargs="+", choices=("coverage", "sines"), default=("coverage", "sines"))
+    parser.add_argument("--write", type=existing_file)
+    options = parser.parse_args()
+    parts = {}
+    if "sines" in options.only:
+        head = "| f / Hz | U of the sweep | U of a sine | sweep against sine | over U of the sweep |"
+        parts["against sines"] = markdown_table(head, list(against_sines()))
+    if "coverage" in options.only:
+        head = "| excitation | quantity | values | covered | errors / u (rms) | median U of the magnitude |"
+        parts["coverage"] = markdown_table(head, list(coverage(options.kinds, options.draws)))
+    for name, table in parts.items():
+        print(f"\n{name}\n{table}")
+    if options.write:
+        write_marked(options.write, parts)
+
+
+if __name__ == "__main__":
+    main()
