@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,25 +18,10 @@ from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, with_view
 from fusion.phasors.timing import Sight, TimeBase, combine_timing_errors
 from fusion.recording.transducer import STATIONARY
 from photogram.motion import RigidMotion, relative_to
-from shaker.frf.sampled_motion import SampledMotion, SampledPhasors, fit_sampled_motion
+from shaker.frf.sampled_motion import SampledFit, SampledMotion, SampledPhasors, fit_sampled_motion
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors, real_stacked
-from shaker.sine.solve import SineFit
 from shakercal._common.arrays import ComplexArray, FloatArray
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SampledFit(SineFit):
-    """Motion of the frames by the channels, in the form of a sine approximation.
-
-    `remaining` (F, C): residuals of the frames, NaN where not used.
-    """
-
-    remaining: FloatArray
-
-    def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the residuals (F, C) of the frames."""
-        return self.remaining
 
 
 def broadband_pairs(

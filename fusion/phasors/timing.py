@@ -365,9 +365,10 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
             with as_input_error(record.entry.file, channel.name):
                 fit = record.fit_trigger(channel)
             triggers[record.entry.name, channel.name] = fit.delay_by(record.lag_s(channel.name) - channel.delay)
-    for entry in (entry for entry in manifest.images if entry.frame_rate is not None):
-        covariance = np.diag([0.0, (U_FRAME_RATE / entry.frame_rate) ** 2])
-        triggers[first, entry.trigger] = nominal_trigger(MOST_FREE_FRAMES, 1.0 / entry.frame_rate, covariance)
+    for entry in manifest.images:
+        if entry.frame_rate is not None:
+            covariance: FloatArray = np.diag([0.0, (U_FRAME_RATE / entry.frame_rate) ** 2])
+            triggers[first, entry.trigger] = nominal_trigger(MOST_FREE_FRAMES, 1.0 / entry.frame_rate, covariance)
     ties: dict[str, ClockTie | None] = {first: None}
     time_base = TimeBase(tuple(records), triggers, ties)
     for other in others:

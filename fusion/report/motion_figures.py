@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import prefix
-from fusion.phasors.broadband_motion import SampledFit
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import (
@@ -31,6 +30,7 @@ from fusion.report.figure import (
 from fusion.report.page_images import neighbour_distance, shown_grey
 from fusion.sensitivity.analyse import Evaluation
 from photogram.measure.epipolar import COVERAGE, EpipolarCheck
+from shaker.frf.sampled_motion import SampledFit
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import alias_frequency
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray

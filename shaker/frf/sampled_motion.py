@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.sine.phasor import derivative_factor
+from shaker.sine.solve import SineFit
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
@@ -318,6 +319,20 @@ class SampledPhasors:
         """Return the phasors (K, C) of a motion (F, C), or of its changes."""
         parts = np.einsum("ckif,fc->kic", self.weights, series[self.used])
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledFit(SineFit):
+    """Motion of the frames by the channels, in the form of a sine approximation.
+
+    `remaining` (F, C): residuals of the frames, NaN where not used.
+    """
+
+    remaining: FloatArray
+
+    def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the residuals (F, C) of the frames."""
+        return self.remaining
 
 
 @dataclass(frozen=True, eq=False)
