@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from fusion.phasors.channel_phasors import (
 )
 from fusion.phasors.phasor_notices import (
     BROADBAND_REFUSED,
+    EVALUATED_AS_NOISE,
     LINES_WITHOUT_SIGNAL,
 )
 from fusion.phasors.timing import TimeBase
@@ -33,6 +33,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
+from shaker.frf.rest import RestError
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sampled_motion import ReferenceSignals
 from shaker.frf.sweeps import transfer_from_rest
@@ -103,7 +104,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         channels=(*names[:first], *names[first + 1 :]),
         unit=("",) * (len(names) - 1),
     )
-    ratios, wanted, silent = _ratios(manifest, record, wanted, band_hz)
+    ratios, wanted, silent, unrest = _ratios(manifest, record, wanted, band_hz)
     if not len(wanted):
         expected = f"lines at which a channel follows {names[first]} (coherence of at least {MIN_COHERENCE:g})"
         raise _refusal(manifest, "excitation.band", f"noise at {silent} Hz", expected)
@@ -113,7 +114,10 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     covariance[:, both[:, None], both] = ratios.ratio.covariance
     covariance[:, [first, first + len(names)], [first, first + len(names)]] = EXACT**2
     scale = _amplitude(record, ratios.ratio.frequency_hz)[:, None]
-    notices = (Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent),) if silent else ()
+    notices = [Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent)] if silent else []
+    if unrest is not None:
+        percent = 100.0 * unrest.level
+        notices.append(Notice(EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent))
     count = len(wanted)
     return BroadbandRecord(
         aligned=aligned,
@@ -123,7 +127,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
             nominal_hz=wanted,
             multiple=np.ones(count, np.int64),
             why=(excitation.kind,) * count,
-            notices=notices,
+            notices=tuple(notices),
         ),
         signals=signals,
         unit=tuple(manifest.rig.unit_of(entry.quantity) for _, entry in selected),
@@ -161,21 +165,23 @@ def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, flo
 
 def _ratios(
     manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
-) -> tuple[TransferFunction, FloatArray, str]:
-    """Return the ratios at frequencies with a signal, and a list of those without.
+) -> tuple[TransferFunction, FloatArray, str, RestError | None]:
+    """Return the ratios at frequencies with a signal, a list of those without, and why a chirp has no rest.
 
     With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
     spectra of the record, interpolated between lines. Otherwise by local polynomials.
     """
-    excitation, found = manifest.excitation, None
+    excitation, found, unrest = manifest.excitation, None, None
     try:
         if excitation.period is not None:
             found = transfer_periodic(
                 record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band_hz
             )
         elif excitation.kind == "chirp":
-            with suppress(ValueError):
+            try:
                 found = _interpolated(transfer_from_rest((record,), band_hz=band_hz), wanted)
+            except RestError as error:
+                unrest = error
         if found is None:
             resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
             found = transfer_random(record, resolution_hz, estimator="local", band_hz=band_hz, frequency_hz=wanted)
@@ -185,7 +191,7 @@ def _ratios(
     near, first = np.unique(near, return_index=True)
     near_lines, wanted = found.at_lines(near), wanted[first]
     seen = near_lines.coherence.max(axis=1, initial=0.0) >= MIN_COHERENCE
-    return near_lines.at_lines(seen), wanted[seen], ", ".join(f"{f:.6g}" for f in wanted[~seen])
+    return near_lines.at_lines(seen), wanted[seen], ", ".join(f"{f:.6g}" for f in wanted[~seen]), unrest
 
 
 def _interpolated(found: TransferFunction, wanted: FloatArray) -> TransferFunction:

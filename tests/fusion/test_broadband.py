@@ -12,6 +12,7 @@ from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
 from fusion.errors import InputError
+from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import select_kinds
 
@@ -86,6 +87,12 @@ def test_noise_with_points_gives_six_components_and_sensitivity(tmp_path):
     value, covariance = found.value[:, 0, 2], found.covariance[:, 0, 2]
     assert np.abs(value / SENSITIVITY - 1.0).max() < 2e-3
     assert np.all(np.abs(value - SENSITIVITY) < 3.5 * np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
+
+
+def test_a_chirp_that_does_not_begin_at_rest_is_named(tmp_path):
+    evaluation = evaluate_recording(write_recording(tmp_path, "chirp"))
+    (notice,) = [one for one in evaluation.notices if one.code == EVALUATED_AS_NOISE.code]
+    assert notice.values["end"] == "beginning"
 
 
 def test_run_requires_a_band_frequencies_within_it_and_motion(tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fusion.errors import InputError
+from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE
 from fusion.recording.load import Manifest
 from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_records import SynchronousRecord, TransferSettings
@@ -75,7 +76,7 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
         raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     if unrest is not None:
         percent = 100.0 * unrest.level
-        as_noise = Notice(declared.EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent)
+        as_noise = Notice(EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent)
         return replace(found, notices=(*found.notices, as_noise))
     if excitation.kind != "chirp" or excitation.period is not None:
         return found
