@@ -345,3 +345,12 @@ RINGS_AT_END = DeclaredNotice(
     remedy="Start the record earlier or stop it later, so that the signal is at rest.",
     link="transfer.md",
 )
+EVALUATED_AS_NOISE = DeclaredNotice(
+    "SC-698",
+    "warning",
+    "The chirp is evaluated as noise, because the signal moves at {percent:.2g} % of its largest level at the {end} of "
+    "the record.",
+    effect="Lines are coarser. The uncertainty is estimated from neighbouring lines.",
+    remedy="Record from rest to rest, or state `period` if the chirp repeats.",
+    link="transfer.md",
+)

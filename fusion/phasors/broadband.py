@@ -24,7 +24,6 @@ from fusion.phasors.channel_phasors import (
 )
 from fusion.phasors.phasor_notices import (
     BROADBAND_REFUSED,
-    EVALUATED_AS_NOISE,
     LINES_WITHOUT_SIGNAL,
 )
 from fusion.phasors.timing import TimeBase
@@ -38,6 +37,7 @@ from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sampled_motion import ReferenceSignals
 from shaker.frf.sweeps import transfer_from_rest
 from shaker.lines.frequencies import LineFrequencies
+from shaker.signal_notices import EVALUATED_AS_NOISE
 from shaker.sine.phasor import Phasors
 from shaker.timebase.edges import PASS_BAND
 from shakercal._common.arrays import ComplexArray, FloatArray

@@ -583,15 +583,6 @@ TAKES_SCATTER = DeclaredNotice(
     remedy="Check for changes between takes.",
     link="signals.md",
 )
-EVALUATED_AS_NOISE = DeclaredNotice(
-    "SC-698",
-    "warning",
-    "The chirp is evaluated as noise, because the signal moves at {percent:.2g} % of its largest level at the {end} of "
-    "the record.",
-    effect="Lines are coarser. The uncertainty is estimated from neighbouring lines.",
-    remedy="Record from rest to rest, or state `period` if the chirp repeats.",
-    link="transfer.md",
-)
 FRAMES_FREE_RUNNING = DeclaredNotice(
     "SC-957",
     "warning",

@@ -12,9 +12,9 @@ from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
 from fusion.errors import InputError
-from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import select_kinds
+from shaker.signal_notices import EVALUATED_AS_NOISE
 
 RATE_HZ, LENGTH_S, BAND_HZ, LINES_HZ = 4096.0, 8.0, [40.0, 300.0], [50.0, 90.0, 150.0, 260.0]
 MASS_KG, SENSITIVITY, EXPOSURE_S = 2.0, 1e-6, 1e-4

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 from fusion.errors import InputError
-from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE
 from fusion.recording.load import Manifest
 from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_records import SynchronousRecord, TransferSettings
@@ -17,6 +16,7 @@ from shaker.frf.random import transfer_random
 from shaker.frf.rest import RestError, find_bursts
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sweeps import transfer_from_rest, usable_band
+from shaker.signal_notices import EVALUATED_AS_NOISE
 from shakercal._common.notices import Notice
 
 AVERAGED: tuple[Literal["auto", "local", "H1", "H2", "Hv"], ...] = ("auto", "local", "H1", "H2", "Hv")
