@@ -7,7 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from nonsinusoidal_truth import Order, write
+from nonsinusoidal import matrices_of, true_matrix
+from nonsinusoidal_rig import CAPACITY
+from nonsinusoidal_truth import SINES_HZ, Order, write
 from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
@@ -130,3 +132,16 @@ def test_a_sweep_agrees_with_the_closed_form_of_a_rig_in_the_time_domain(tmp_pat
     expected = np.interp(evaluation.lines.frequency_hz, hertz, true.real)
     u = np.array([line[place].expanded_magnitude for line in found.polar])
     assert np.mean(np.abs(value.real - expected) < u) >= 0.8
+
+
+@pytest.mark.slow
+def test_six_sweeps_in_six_directions_give_the_matrix_over_frequency(tmp_path):
+    fits, truth = matrices_of([Order("chirp", 1, poses=True, duration_s=8.0)], tmp_path)
+    assert [fit.frequency_hz for fit in fits] == pytest.approx(SINES_HZ)
+    errors = np.array([(fit.value - true_matrix(fit, truth)).ravel() for fit in fits])
+    variance = np.array([np.diag(fit.uncertainty.covariance[0]) for fit in fits])
+    covered = np.concatenate([errors.real, errors.imag], axis=1) ** 2 < 1.96**2 * variance
+    assert covered.mean() >= 0.9  # the stated errors are those of one rig
+    rated = np.abs(np.diag(true_matrix(fits[0], truth))) * CAPACITY
+    shares = np.sqrt(variance[:, :36]).reshape(-1, 6, 6) * CAPACITY / rated[:, None]
+    assert np.median(shares) < 0.01
