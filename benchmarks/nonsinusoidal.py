@@ -19,21 +19,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import h5py
 import numpy as np
 from coverage_statistics import Tally
 from marked import existing_file, markdown_row, markdown_table, write_marked
 from nonsinusoidal_rig import CAPACITY, DIRECTIONS
 from nonsinusoidal_truth import SINES_HZ, Order, write
 
-from fusion import Settings, read_recorded, run_path
-from fusion.campaign.joint_evaluation import evaluate_campaign
-from fusion.campaign.matrix import MatrixFit
+from fusion import Settings, run_path
 from fusion.estimation.coverage import Polar, coverage_factor
-from fusion.estimation.uncertainty import polar_elements
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from fusion.report.h5 import read_uncertainty
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from shakercal._common.arrays import ComplexArray
 
+Matrix = tuple[float, ComplexArray, Uncertainty]
 FZ, REFERENCE = 2, "velocity_1"
 NAMES = {"chirp": "sweep, 20 s", "noise": "noise, 20 s", "impact": "blows, 20 s", "train": "rapid blows, 20 s"}
 PARTS_OF_PAGE = ("coverage", "sines", "matrix")
@@ -136,18 +137,21 @@ def against_sines() -> Iterator[str]:
         yield "| " + " | ".join(cells) + " |"
 
 
-def matrices_of(orders: Sequence[Order], top: Path) -> tuple[tuple[MatrixFit, ...], dict[str, Any]]:
+def matrices_of(orders: Sequence[Order], top: Path) -> tuple[list[Matrix], dict[str, Any]]:
     """Return the matrices of a campaign in six directions in an empty folder, and the truth of a recording."""
     for number, order in enumerate(orders):
         for direction in DIRECTIONS:
             truth = written(replace(order, direction=direction), top / f"{direction}-{number}")
-    outcomes = run_path(top, None, Settings())
-    return evaluate_campaign("matrix", [read_recorded(one.folder) for one in outcomes], {}).matrices, truth
+    run_path(top, None, Settings())
+    with h5py.File(top / "results/campaign.h5") as file:
+        groups = [(one["uncertainty"], one["value"][()]) for one in file["matrices"].values()]
+        fits = [(float(of["frequency_hz"][0]), value, read_uncertainty(of)) for of, value in groups]
+    return fits, truth
 
 
-def true_matrix(fit: MatrixFit, truth: dict[str, Any]) -> ComplexArray:
-    """Return the true matrix at the frequency of a fit."""
-    at, parts = int(np.abs(np.array(truth["frequencies"]) - fit.frequency_hz).argmin()), truth["sensitivity"]
+def true_matrix(hertz: float, truth: dict[str, Any]) -> ComplexArray:
+    """Return the true matrix at a frequency."""
+    at, parts = int(np.abs(np.array(truth["frequencies"]) - hertz).argmin()), truth["sensitivity"]
     return np.asarray(np.array(parts["re"][at]) + 1j * np.array(parts["im"][at]))
 
 
@@ -167,17 +171,17 @@ def matrix() -> Iterator[str]:
             with TemporaryDirectory() as top:
                 fits, truth = matrices_of([sweep] if what == SWEEP else sines, Path(top))
             count += len(fits)
-            for fit in fits:
-                true = true_matrix(fit, truth)
-                polar = polar_elements(fit.value.reshape(1, -1), fit.uncertainty)[0]
+            for hertz, value, uncertainty in fits:
+                true = true_matrix(hertz, truth)
+                polar = polar_elements(value.reshape(1, -1), uncertainty)[0]
                 rated = np.abs(np.diag(true)) * CAPACITY
                 for name, mask in parts.items():
                     for i, j in np.argwhere(mask):
                         stated = polar[6 * i + j]
-                        tallies[name].add(complex(fit.value[i, j] - true[i, j]), stated)
+                        tallies[name].add(complex(value[i, j] - true[i, j]), stated)
                         expanded = coverage_factor(stated.dof) * max(stated.u_re, stated.u_im)
                         shares[name].append(expanded * CAPACITY[j] / rated[i])
-            print(what, where, draw, [fit.frequency_hz for fit in fits], flush=True)
+            print(what, where, draw, [round(fit[0], 1) for fit in fits], flush=True)
         for name, tally in tallies.items():
             errors = np.abs(tally.normalised)
             cells = [what, where, f"{count} of {len(draws) * len(SINES_HZ)}", name, f"{len(tally.errors)}"]

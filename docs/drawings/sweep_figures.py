@@ -34,7 +34,7 @@ def sweep_between_images() -> Figure:
     seen = CubicSpline(fine_s, turned)(images_s) + NOISE_RAD * rng.normal(size=len(images_s))
     signals = ReferenceSignals(acceleration[:, None], np.array([2]), RATE_HZ, 0.0, BAND_HZ)
     lines_hz = np.geomspace(*BAND_HZ, 300)
-    of_motion = -((2.0 * np.pi * lines_hz[:, None]) ** 2) + 0j
+    of_motion = -((2.0 * np.pi * lines_hz[:, None]) ** 2).astype(np.complex128)
     phasors = fit_sampled_motion(signals, images_s, seen[:, None]).phasors(lines_hz, of_motion)
     found, u = phasors.of(seen[:, None])[:, 0], np.sqrt(phasors.covariance[:, [0, 1], [0, 1]].max(axis=1))
 
