@@ -1,10 +1,12 @@
-"""Chirps, noise and blows with cameras: coverage, and agreement with sines on the same rig.
+"""Chirps, noise and blows with cameras: coverage, agreement with sines on the same rig, and matrices of six sweeps.
 
-    python benchmarks/nonsinusoidal.py [--draws 10] [--kinds chirp noise impact train] [--only coverage] [--write PAGE]
+    python benchmarks/nonsinusoidal.py [--draws 10] [--kinds chirp noise impact train] [--write PAGE]
+        [--only coverage sines matrix]
 
 Recordings and their truth are those of `nonsinusoidal_truth.py`, with every stated error sampled and the points of
 another program in place of images. The accelerations of the load, and the output Fz per load Fz, are compared with the
 closed form at ten frequencies. Sines: ten recordings of the same rig, of 4 s each, with the same sampled errors.
+Matrices: campaigns in six directions, each a mounting of its own; 36 elements against the closed form.
 """
 
 from __future__ import annotations
@@ -12,36 +14,52 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import h5py
 import numpy as np
 from coverage_statistics import Tally
-from marked import existing_file, markdown_table, write_marked
+from marked import existing_file, markdown_row, markdown_table, write_marked
+from nonsinusoidal_rig import CAPACITY, DIRECTIONS
 from nonsinusoidal_truth import SINES_HZ, Order, write
 
-from fusion.estimation.coverage import Polar
+from fusion import Settings, run_path
+from fusion.estimation.coverage import Polar, coverage_factor
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from fusion.report.h5 import read_uncertainty
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from shakercal._common.arrays import ComplexArray
 
+Matrix = tuple[float, ComplexArray, Uncertainty]
 FZ, REFERENCE = 2, "velocity_1"
 NAMES = {"chirp": "sweep, 20 s", "noise": "noise, 20 s", "impact": "blows, 20 s", "train": "rapid blows, 20 s"}
+PARTS_OF_PAGE = ("coverage", "sines", "matrix")
 PARTS = {"translations": (0, 1, 2), "rotations": (3, 4, 5)}
+SWEEP, SINE = "six sweeps of 12 s", "sixty sines of 4 s"
+CAMPAIGNS = ((SWEEP, "above the band", (1, 3)), (SWEEP, "within the band", (0, 2)), (SINE, "above the band", (1,)))
+"""Campaigns of matrices, the place of the bending resonance, and draws."""
 SOURCES, ELEMENT = {"photogrammetry": "cameras alone", "fused": "fused"}, "output Fz per load Fz"
+
+
+def written(order: Order, folder: Path) -> dict[str, Any]:
+    """Write a simulated recording, with the frequencies of its results, and return its truth."""
+    truth = write(order, folder)
+    if order.kind != "sine":
+        manifest = folder / "recording.toml"
+        stated = f"[excitation]\nfrequencies = {json.dumps(list(SINES_HZ))}\n"
+        manifest.write_text(manifest.read_text("utf-8").replace("[excitation]\n", stated, 1), encoding="utf-8")
+    return truth
 
 
 def recorded(order: Order) -> tuple[Evaluation, dict[str, Any]]:
     """Return a simulated recording as evaluated, and its truth."""
     with TemporaryDirectory() as top:
-        folder = Path(top) / "recording"
-        truth = write(order, folder)
-        if order.kind != "sine":
-            manifest = folder / "recording.toml"
-            stated = f"[excitation]\nfrequencies = {json.dumps(list(SINES_HZ))}\n"
-            manifest.write_text(manifest.read_text("utf-8").replace("[excitation]\n", stated, 1), encoding="utf-8")
-        return evaluate_recording(folder), truth
+        truth = written(order, Path(top) / "recording")
+        return evaluate_recording(Path(top) / "recording"), truth
 
 
 def closed_form(truth: dict[str, Any], name: str, evaluation: Evaluation) -> ComplexArray:
@@ -119,17 +137,72 @@ def against_sines() -> Iterator[str]:
         yield "| " + " | ".join(cells) + " |"
 
 
+def matrices_of(orders: Sequence[Order], top: Path) -> tuple[list[Matrix], dict[str, Any]]:
+    """Return the matrices of a campaign in six directions in an empty folder, and the truth of a recording."""
+    for number, order in enumerate(orders):
+        for direction in DIRECTIONS:
+            truth = written(replace(order, direction=direction), top / f"{direction}-{number}")
+    run_path(top, None, Settings())
+    with h5py.File(top / "results/campaign.h5") as file:
+        groups = [(one["uncertainty"], one["value"][()]) for one in file["matrices"].values()]
+        fits = [(float(of["frequency_hz"][0]), value, read_uncertainty(of)) for of, value in groups]
+    return fits, truth
+
+
+def true_matrix(hertz: float, truth: dict[str, Any]) -> ComplexArray:
+    """Return the true matrix at a frequency."""
+    at, parts = int(np.abs(np.array(truth["frequencies"]) - hertz).argmin()), truth["sensitivity"]
+    return np.asarray(np.array(parts["re"][at]) + 1j * np.array(parts["im"][at]))
+
+
+def matrix() -> Iterator[str]:
+    """Yield rows of the elements for each campaign."""
+    main = np.eye(6, dtype=np.bool_)
+    for what, where, draws in CAMPAIGNS:
+        parts = {
+            "main, forces": main & (np.arange(6) < 3),
+            "main, moments": main & (np.arange(6) > 2),
+            "cross-talk": ~main,
+        }
+        tallies, shares, count = {name: Tally() for name in parts}, {name: list[float]() for name in parts}, 0
+        for draw in draws:
+            sweep = Order("chirp", draw, poses=True, duration_s=12.0)
+            sines = [replace(sweep, kind="sine", hertz=hertz, duration_s=4.0) for hertz in SINES_HZ]
+            with TemporaryDirectory() as top:
+                fits, truth = matrices_of([sweep] if what == SWEEP else sines, Path(top))
+            count += len(fits)
+            for hertz, value, uncertainty in fits:
+                true = true_matrix(hertz, truth)
+                polar = polar_elements(value.reshape(1, -1), uncertainty)[0]
+                rated = np.abs(np.diag(true)) * CAPACITY
+                for name, mask in parts.items():
+                    for i, j in np.argwhere(mask):
+                        stated = polar[6 * i + j]
+                        tallies[name].add(complex(value[i, j] - true[i, j]), stated)
+                        expanded = coverage_factor(stated.dof) * max(stated.u_re, stated.u_im)
+                        shares[name].append(expanded * CAPACITY[j] / rated[i])
+            print(what, where, draw, [round(fit[0], 1) for fit in fits], flush=True)
+        for name, tally in tallies.items():
+            errors = np.abs(tally.normalised)
+            cells = [what, where, f"{count} of {len(draws) * len(SINES_HZ)}", name, f"{len(tally.errors)}"]
+            cells += [f"{100 * tally.covered.mean():.1f} %", f"{np.sqrt(np.mean(errors**2)):.2f}"]
+            yield markdown_row(*cells, f"{errors.max():.1f}", f"{100 * np.median(shares[name]):.2g} %")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--kinds", nargs="+", choices=tuple(NAMES), default=tuple(NAMES))
-    parser.add_argument("--only", nargs="+", choices=("coverage", "sines"), default=("coverage", "sines"))
+    parser.add_argument("--only", nargs="+", choices=PARTS_OF_PAGE, default=PARTS_OF_PAGE)
     parser.add_argument("--write", type=existing_file)
     options = parser.parse_args()
     parts = {}
     if "sines" in options.only:
         head = "| f / Hz | U of the sweep | U of a sine | sweep against sine | over U of the sweep |"
         parts["against sines"] = markdown_table(head, list(against_sines()))
+    if "matrix" in options.only:
+        head = "| campaign | bending | matrices | elements | values | covered | errors / u (rms) | largest | median U |"
+        parts["matrix"] = markdown_table(head, list(matrix()))
     if "coverage" in options.only:
         head = "| excitation | quantity | values | covered | errors / u (rms) | median U of the magnitude |"
         parts["coverage"] = markdown_table(head, list(coverage(options.kinds, options.draws)))

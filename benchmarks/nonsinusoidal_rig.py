@@ -1,8 +1,9 @@
 """A shaker table, a six-component sensor and its load as one linear system in time, without the program.
 
-The table on flexures is driven by a prescribed signal; parasitic components with a rocking mode follow it. The load is
-on the sensor's 6 x 6 stiffness and damping, in gravity. The 38 states are integrated exactly for a signal that is
-linear between points of the grid. Vectors of six are a translation of the sensor origin and a rotation, or a wrench.
+The table on flexures is driven by a prescribed signal in one component; parasitic components with a rocking mode
+follow it. The load is on the sensor's 6 x 6 stiffness and damping, in gravity. The 38 states are integrated exactly
+for a signal that is linear between points of the grid. Vectors of six are a translation of the sensor origin and a
+rotation, or a wrench.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ KINDS, BAND_HZ, SETTLE_S = ("chirp", "noise", "impact", "train", "sine"), (60.0,
 DRIVE_HZ, SUSPENSION_HZ, AMPLIFIER_HZ = 3e3, 25.0, 5e3
 GRAVITY_M_S2 = 9.8113
 CAPACITY = np.array([500.0, 500.0, 1000.0, 25.0, 25.0, 25.0])
+DIRECTIONS, GAIN = ("x", "y", "z", "rx", "ry", "rz"), np.array([1.0, 1.0, 1.0, 20.0, 20.0, 20.0])
+"""Driven components of the base, and their m or rad per m of stroke."""
+PIVOT_M = np.array([0.0, 0.0, 0.0385])
+"""A place about which the base turns below the rocking mode, for loads other than those of translations."""
 
 
 def skew(vector: FloatArray) -> FloatArray:
@@ -73,6 +78,7 @@ class Rig:
     coupling: FloatArray
     coupling_hz: FloatArray
     coupling_damping: FloatArray
+    driven: int = 2
 
     def natural(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies in Hz and mass-normalised shapes without damping."""
@@ -83,7 +89,7 @@ class Rig:
         """Return the pose of the base over the stroke of the table, (F, 6)."""
         ratio = hertz[:, None] / self.coupling_hz
         base = np.asarray(self.coupling / (1.0 - ratio**2 + 2j * self.coupling_damping * ratio), dtype=complex)
-        base[:, 2] = 1.0
+        base[:, self.driven] = GAIN[self.driven]
         return base
 
     def responses(self, hertz: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -98,8 +104,8 @@ class Rig:
         return np.asarray(pose[..., 0], dtype=complex), np.asarray(load[..., 0], dtype=complex), matrix
 
 
-def make_rig(draw: int, exact: bool = False) -> Rig:
-    """Sample a rig; bending in the band for even draws, above it for odd ones."""
+def make_rig(draw: int, exact: bool = False, driven: int = 2) -> Rig:
+    """Sample a rig; bending in the band for even draws, above it for odd ones; `driven`: component of the base."""
     rng = np.random.default_rng([71, draw])
     mass, tilt = np.zeros((6, 6)), np.zeros((6, 6))
     for body, (u_mass, u_centre, u_inertia) in zip((LOAD, INTERNAL), U_BODIES, strict=True):
@@ -131,11 +137,14 @@ def make_rig(draw: int, exact: bool = False) -> Rig:
     main = np.array([1.6e-6, 1.6e-6, 7e-7, 3.1e-5, 3.1e-5, 2.7e-5])
     cross = 0.01 * rng.normal(size=(6, 6)) * (1.0 - np.eye(6)) * (main * CAPACITY)[:, None] / CAPACITY
     static = np.diag(main) * (1.0 + 0.01 * rng.normal(size=6)) + cross
-    coupling = rng.normal(size=6) * np.array([0.03, 0.03, 0.0, 0.4, 0.4, 0.2])
+    coupling = rng.normal(size=6) * np.array([0.03, 0.03, 0.03 * (driven != 2), 0.4, 0.4, 0.2])
+    coupling[driven] = 0.0
+    if driven > 2:
+        coupling[:3] += GAIN[driven] * np.cross(PIVOT_M, np.eye(3)[driven - 3])
     stated = static * (1.0 + (0.0 if exact else 5e-4) * rng.normal(size=(6, 6)))
     share = 1.0 if draw == 0 else float(rng.uniform())
     coupling_hz, coupling_damping = rng.uniform(1150.0, 1300.0, 6), rng.uniform(0.02, 0.05, 6)
-    return Rig(mass, tilt, spring, damping, share, static, stated, coupling, coupling_hz, coupling_damping)
+    return Rig(mass, tilt, spring, damping, share, static, stated, coupling, coupling_hz, coupling_damping, driven)
 
 
 @dataclass(frozen=True)
@@ -168,10 +177,11 @@ def make_system(rig: Rig) -> System:
     oscillator(0, 1, DRIVE_HZ, 0.7)
     b[1] = (2.0 * np.pi * DRIVE_HZ) ** 2
     own, damping = rig.coupling_hz.copy(), rig.coupling_damping.copy()
-    own[2], damping[2] = SUSPENSION_HZ, 0.4
+    driven = rig.driven
+    own[driven], damping[driven] = SUSPENSION_HZ, 0.4
     rates = oscillator(2, 6, own, damping)
-    a[rates, 4] += (2.0 * np.pi * rig.coupling_hz) ** 2 * rig.coupling
-    a[10, 0] = 1.0
+    a[rates, 2 + driven] += (2.0 * np.pi * rig.coupling_hz) ** 2 * rig.coupling / GAIN[driven]
+    a[8 + driven, 0] = GAIN[driven]
     pose, velocity, base, base_velocity = slice(14, 20), slice(20, 26), slice(2, 8), slice(8, 14)
     a[pose, velocity] = np.eye(6)
     inverse = np.linalg.inv(rig.mass)

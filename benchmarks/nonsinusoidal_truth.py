@@ -1,20 +1,21 @@
 """Recordings of chirps, noise, blows and sines with cameras, computed in the time domain, with their truth.
 
     python benchmarks/nonsinusoidal_truth.py OUT --kind chirp|noise|impact|train|sine [--draw 0] [--frequency 120.7]
-        [--poses] [--exact] [--duration 20]
+        [--poses] [--exact] [--duration 20] [--direction x|y|z|rx|ry|rz]
 
 It shares no code with the program: mechanics are those of `nonsinusoidal_rig.py`, images those of
 `nonsinusoidal_views.py`, taken at the mean pose of each exposure. Outputs are S (K d + share C d') behind an amplifier,
 d the deformation of the sensor. `truth.json` has the closed form at 40 frequencies, and the motion at every exposure.
 A train is blows every 0.09 to 0.16 s, stated as noise. `--poses` writes points in place of images.
-`--exact` samples no systematic errors; the statements stay.
+`--exact` samples no systematic errors; the statements stay. `--direction` is a mounting of its own, with lasers from
+the sides: the same rig, other places and directions of the channels, and the rig's files in the folder above.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ import numpy as np
 from nonsinusoidal_rig import (
     BAND_HZ,
     CAPACITY,
+    DIRECTIONS,
     GRAVITY_M_S2,
     INTERNAL,
     KINDS,
@@ -96,6 +98,15 @@ CHANNELS: dict[str, dict[str, Any]] = {
         for name in NAMES
     },
 }
+SIDES: dict[str, dict[str, Any]] = {
+    name: CHANNELS["velocity_1"] | {"common": "side laser", "point": point, "direction": direction}
+    for name, point, direction in (
+        ("velocity_x", [0.036, 0.0, 0.05], [1.0, 0.0, 0.0]),
+        ("velocity_y1", [0.03, 0.036, 0.05], [0.0, 1.0, 0.0]),
+        ("velocity_y2", [-0.03, 0.036, 0.05], [0.0, 1.0, 0.0]),
+    )
+}
+"""Channels of a recording with a direction of its own."""
 NOISE = {"velocity": (1e-5, "V"), "acceleration": (5e-3, "V"), "output": (2e-9, "mV/V")}
 """Rms of a sample in SI, and the unit of the file."""
 STATED = ("point", "direction", "scale", "individual", "delay")
@@ -117,11 +128,23 @@ class Order:
     exact: bool = False
     duration_s: float = 20.0
     oversampling: int = 4
+    direction: str | None = None
 
     @property
     def rng(self) -> np.random.Generator:
         """Return the generator of everything but the rig."""
-        return np.random.default_rng([72, self.draw, KINDS.index(self.kind), round(1e3 * self.hertz)])
+        seed = [72, self.draw, KINDS.index(self.kind), round(1e3 * self.hertz)]
+        return np.random.default_rng(seed + ([] if self.direction is None else [self.driven]))
+
+    @property
+    def driven(self) -> int:
+        """Return the driven component of the base."""
+        return DIRECTIONS.index(self.direction or "z")
+
+    @property
+    def channels(self) -> dict[str, dict[str, Any]]:
+        """Return the channels and their keys."""
+        return CHANNELS if self.direction is None else CHANNELS | SIDES
 
 
 def simulate(order: Order, rig: Rig, errors: Errors, rng: np.random.Generator) -> dict[str, FloatArray]:
@@ -149,16 +172,18 @@ def simulate(order: Order, rig: Rig, errors: Errors, rng: np.random.Generator) -
     return {"samples": samples, "edges": edges_s, "middle": times_s[:, 5] - before, "pose": poses[:, 5], "mean": mean}
 
 
-def sample_errors(rng: np.random.Generator, exact: bool) -> Errors:
+def sample_errors(order: Order) -> Errors:
     """Sample the truth of every channel, and of the pair, from the stated uncertainties."""
+    rng, exact = np.random.default_rng([73, order.draw]), order.exact
+    mounted = rng if order.direction is None else np.random.default_rng([74, order.draw, order.driven])
     errors: Errors = {}
     shared: dict[str, FloatArray] = {}
-    for name, keys in CHANNELS.items():
+    for name, keys in order.channels.items():
         own = {key: float(keys.get(f"{key}_uncertainty", 0.0)) * (not exact) for key in STATED}
         common = shared.setdefault(keys.get("common", name), rng.normal(size=2))
         factor = 1.0 + own["scale"] * common[0] + own["individual"] * rng.normal()
         errors[name] = {"factor": factor, "delay_s": own["delay"] * common[1]}
-        moves = rng.normal(size=(2, 3))
+        moves = mounted.normal(size=(2, 3))
         if "point" in keys:
             direction = np.array(keys["direction"])
             tilt = own["direction"] * moves[1] * (1.0 - direction)
@@ -176,7 +201,9 @@ def sample_errors(rng: np.random.Generator, exact: bool) -> Errors:
 def channel_rows(system: System, errors: Errors) -> FloatArray:
     """Return what every channel reads of the states, in SI, late by its delay (first order), (R, 38)."""
     rows = []
-    for name, keys in CHANNELS.items():
+    for name, keys in (CHANNELS | SIDES).items():
+        if name not in errors:
+            continue
         if keys["quantity"] == "output":
             row = np.eye(38)[26 + NAMES.index(keys["channel"])]
         else:
@@ -217,11 +244,11 @@ def truth_of(order: Order, rig: Rig, motion: dict[str, FloatArray], errors: Erro
     }
 
 
-def write_channels(path: Path, motion: dict[str, FloatArray], rng: np.random.Generator) -> None:
+def write_channels(path: Path, order: Order, motion: dict[str, FloatArray], rng: np.random.Generator) -> None:
     """Write the file of the recorder in single precision."""
     with h5py.File(path, "w") as file:
         file.attrs["sample_rate"] = SAMPLE_RATE_HZ
-        for (name, keys), samples in zip(CHANNELS.items(), motion["samples"].T, strict=True):
+        for (name, keys), samples in zip(order.channels.items(), motion["samples"].T, strict=True):
             rms, unit = NOISE[keys["quantity"]]
             noisy = (samples + rms * rng.normal(size=samples.size)) / keys["scale"]
             file.create_dataset(name, data=noisy.astype(np.float32)).attrs["unit"] = unit
@@ -282,14 +309,22 @@ def write_rig(order: Order, folder: Path, rig: Rig, errors: Errors) -> None:
 
 def write_recording(order: Order, folder: Path) -> None:
     """Write recording.toml and the response of the amplifier."""
-    keys: dict[str, Any] = {"kind": "noise" if order.kind == "train" else order.kind, "direction": Z}
+    driven = np.eye(6)[order.driven]
+    keys: dict[str, Any] = {
+        "kind": "noise" if order.kind == "train" else order.kind,
+        "direction": (driven if order.driven > 2 else driven[:3]).tolist(),
+    }
     if order.kind == "sine":
         keys["frequencies"] = [order.hertz]
     else:
-        keys |= {"band": BAND_HZ, "reference": ["base_acceleration" if order.kind == "impact" else "velocity_1"]}
-    text = block("", format=1, name=f"{order.kind} {order.draw}", simulated=True, rig="rig.toml")
+        keys |= {"band": BAND_HZ}
+    if order.kind != "sine" and order.direction is None:
+        keys |= {"reference": ["base_acceleration" if order.kind == "impact" else "velocity_1"]}
+    of = {"rig": "rig.toml"} if order.direction is None else {"rig": "../rig.toml", "mounting": order.direction}
+    name = f"{order.kind} {order.draw} {order.direction or ''}".strip()
+    text = block("", format=1, name=name, simulated=True, **of)
     text += block("[excitation]", **keys) + block("[[daq]]", name="daq", file="daq.h5", clock_uncertainty=1e-7)
-    for name, channel in CHANNELS.items():
+    for name, channel in order.channels.items():
         text += block("[[daq.channel]]", name=name, **channel)
     text += block("[[daq.channel]]", name="camera_trigger", quantity="trigger", threshold=2.5)
     if order.poses:
@@ -331,11 +366,11 @@ def write_images(folder: Path, poses: FloatArray, rng: np.random.Generator) -> N
 def write(order: Order, folder: Path) -> dict[str, Any]:
     """Write a recording with its rig into an empty folder, and return the truth."""
     folder.mkdir(parents=True)
-    rig, rng = make_rig(order.draw, order.exact), order.rng
-    errors = sample_errors(np.random.default_rng([73, order.draw]), order.exact)
+    rig, rng = make_rig(order.draw, order.exact, order.driven), order.rng
+    errors = sample_errors(order)
     motion = simulate(order, rig, errors, rng)
-    write_channels(folder / "daq.h5", motion, rng)
-    write_rig(order, folder, rig, errors)
+    write_channels(folder / "daq.h5", order, motion, rng)
+    write_rig(order, folder if order.direction is None else folder.parent, rig, errors)
     write_recording(order, folder)
     (write_points if order.poses else write_images)(folder, motion["mean"], rng)
     truth = truth_of(order, rig, motion, errors)
@@ -352,9 +387,10 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--poses", action="store_true")
     parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--direction", choices=DIRECTIONS)
     stated = parser.parse_args()
     order = Order(stated.kind, stated.draw, stated.frequency, stated.poses, stated.exact, stated.duration)
-    write(order, stated.out)
+    write(replace(order, direction=stated.direction), stated.out)
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         expected = f"frequencies within the band, {band_hz[0]:g} to {band_hz[1]:g} Hz"
         raise _refusal(manifest, "excitation.frequencies", f"{outside[0]:g} Hz", expected)
     names = [entry.name for _, entry in selected]
-    first = _reference(manifest, [entry for _, entry in selected])
+    first = _reference(manifest, [entry for _, entry in selected], signals, wanted)
     record = TransferRecord(
         reference=signals.values[:, first],
         responses=np.delete(signals.values, first, axis=1),
@@ -113,7 +113,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     covariance = np.zeros((len(wanted), 2 * len(names), 2 * len(names)))
     covariance[:, both[:, None], both] = ratios.ratio.covariance
     covariance[:, [first, first + len(names)], [first, first + len(names)]] = EXACT**2
-    scale = _amplitude(record, ratios.ratio.frequency_hz)[:, None]
+    scale = _amplitude(record.reference, signals.rate_hz, ratios.ratio.frequency_hz)[:, None]
     notices = [Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent)] if silent else []
     if unrest is not None:
         percent = 100.0 * unrest.level
@@ -166,7 +166,7 @@ def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, flo
 def _ratios(
     manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
 ) -> tuple[TransferFunction, FloatArray, str, RestError | None]:
-    """Return the ratios at frequencies with a signal, a list of those without, and why a chirp has no rest.
+    """Return ratios with a signal, frequencies without one, and why a chirp has no rest.
 
     With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
     spectra of the record, interpolated between lines. Otherwise by local polynomials.
@@ -208,22 +208,26 @@ def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputEr
     return InputError(BROADBAND_REFUSED, manifest.path, key, found=found, expected=expected)
 
 
-def _reference(manifest: Manifest, entries: Sequence[ChannelEntry]) -> int:
-    """Return the index of the first stated reference, else of the best motion channel."""
+def _reference(
+    manifest: Manifest, entries: Sequence[ChannelEntry], signals: ReferenceSignals, frequency_hz: FloatArray
+) -> int:
+    """Return the index of the stated reference, else of the largest motion of one kind."""
     names, stated = [entry.name for entry in entries], manifest.excitation.reference
     if stated and stated[0] not in names:
         raise _refusal(manifest, "excitation.reference", stated[0], f"one of {', '.join(names)}")
     if stated:
         return names.index(stated[0])
-    ranks = [LINE_QUANTITIES.index(entry.quantity) for entry in entries]
-    return int(np.argmin(ranks))
+    ranks = np.array([LINE_QUANTITIES.index(entry.quantity) for entry in entries])
+    best = np.flatnonzero(ranks == ranks.min())
+    amplitude = [_amplitude(signals.values[:, one], signals.rate_hz, frequency_hz) for one in best]
+    return int(best[np.argmax(np.log(np.maximum(amplitude, np.finfo(np.float64).tiny)).mean(axis=1))])
 
 
-def _amplitude(record: TransferRecord, frequency_hz: FloatArray) -> FloatArray:
-    """Return amplitudes (K,) of sines with the reference's power within the line spacing."""
-    width_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
-    power = np.abs(np.fft.rfft(record.reference - record.reference.mean()) * 2.0 / len(record.reference)) ** 2
-    spectrum_hz = np.fft.rfftfreq(len(record.reference), 1.0 / record.sample_rate_hz)
+def _amplitude(samples: FloatArray, rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
+    """Return amplitudes (K,) of sines with a channel's power within the line spacing."""
+    width_hz = SEGMENTS * rate_hz / len(samples)
+    power = np.abs(np.fft.rfft(samples - samples.mean()) * 2.0 / len(samples)) ** 2
+    spectrum_hz = np.fft.rfftfreq(len(samples), 1.0 / rate_hz)
     near = np.searchsorted(spectrum_hz, frequency_hz[:, None] + width_hz * np.array([-0.5, 0.5]))
     return np.sqrt([power[first : max(last, first + 1)].sum() for first, last in near])
 

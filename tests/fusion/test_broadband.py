@@ -7,7 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from nonsinusoidal_truth import Order, write
+from nonsinusoidal import matrices_of, true_matrix
+from nonsinusoidal_rig import CAPACITY
+from nonsinusoidal_truth import SINES_HZ, Order, write
 from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
@@ -42,6 +44,7 @@ def write_recording(folder: Path, kind: str = "noise") -> Path:
     with h5py.File(folder / "daq.h5", "w") as file:
         file.attrs["sample_rate"] = RATE_HZ
         for name, values in {
+            "across": RATIOS[0] * velocity + 1e-4 * rng.standard_normal(count),
             "laser": velocity + 1e-6 * rng.standard_normal(count),
             "side": RATIOS[0] * acceleration + 1e-3 * rng.standard_normal(count),
             "Fz": SENSITIVITY * MASS_KG * acceleration + 1e-9 * rng.standard_normal(count),
@@ -63,9 +66,10 @@ def write_recording(folder: Path, kind: str = "noise") -> Path:
     rig += block("stereo.top", body="load", exposure=EXPOSURE_S, scale_uncertainty=1e-4, **camera)
     (folder / "rig.toml").write_text(rig)
     excitation = {"kind": kind, "direction": [0, 0, 1], "band": BAND_HZ, "frequencies": LINES_HZ}
-    text = block(format=1, name="broadband", rig="rig.toml") + block("excitation", **excitation, reference=["laser"])
+    text = block(format=1, name="broadband", rig="rig.toml") + block("excitation", **excitation)
     text += block("[daq]", name="daq", file="daq.h5")
     place = {"body": "load", "point": [0.0, 0.0, 0.0], "scale_uncertainty": 1e-4}
+    text += channel("across", "velocity", **place, direction=[1, 0, 0])  # no reference: it shows little motion
     text += channel("laser", "velocity", **place, direction=[0, 0, 1])
     text += channel("side", "acceleration", **place, direction=[1, 0, 0])
     text += channel("Fz", "output", channel="Fz", scale_uncertainty=1e-4) + channel("trigger", "trigger")
@@ -130,3 +134,16 @@ def test_a_sweep_agrees_with_the_closed_form_of_a_rig_in_the_time_domain(tmp_pat
     expected = np.interp(evaluation.lines.frequency_hz, hertz, true.real)
     u = np.array([line[place].expanded_magnitude for line in found.polar])
     assert np.mean(np.abs(value.real - expected) < u) >= 0.8
+
+
+@pytest.mark.slow
+def test_six_sweeps_in_six_directions_give_the_matrix_over_frequency(tmp_path):
+    fits, truth = matrices_of([Order("chirp", 1, poses=True, duration_s=8.0)], tmp_path)
+    assert [hertz for hertz, *_ in fits] == pytest.approx(SINES_HZ)
+    errors = np.array([(value - true_matrix(hertz, truth)).ravel() for hertz, value, _ in fits])
+    variance = np.array([np.diag(uncertainty.covariance[0]) for *_, uncertainty in fits])
+    covered = np.concatenate([errors.real, errors.imag], axis=1) ** 2 < 1.96**2 * variance
+    assert covered.mean() >= 0.9  # the stated errors are those of one rig
+    rated = np.abs(np.diag(true_matrix(SINES_HZ[0], truth))) * CAPACITY
+    shares = np.sqrt(variance[:, :36]).reshape(-1, 6, 6) * CAPACITY / rated[:, None]
+    assert np.median(shares) < 0.01
