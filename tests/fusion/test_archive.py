@@ -32,6 +32,7 @@ from fusion.report.report_notices import ARCHIVE_PACKAGES_MISSING, STORE_REFUSED
 from fusion.report.result_database import collect_results, query_results
 from fusion.sensor.compare.comparison_inputs import read_compared
 from fusion.sensor.compare.control_chart import control_charts
+from fusion.sensor.result_notices import SAME_FILE
 
 fsspec = pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
@@ -375,7 +376,7 @@ def test_wrong_conditions_are_refused(archive, tmp_path):
             query_results(tmp_path / "results.parquet", condition)
 
 
-def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
+def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused, capsys):
     database = tmp_path / "results.parquet"
     collect_results(archive, database)
     queries = {str(year): f"{database}?channel = 'Fz' and year(date) = {year}" for year in (2024, 2026)}
@@ -392,6 +393,11 @@ def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
         assert int(value.year) == year
     arguments = [f"{name}={query}" for name, query in queries.items()]
     assert main(["compare", *arguments, "-o", str(tmp_path / "comparison"), "-q"]) == EXIT_DONE
+    for other, warned in ((arguments[1], False), (f"every={database}?channel = 'Fz'", True)):
+        capsys.readouterr()
+        assert main(["compare", arguments[0], other, "-o", str(tmp_path / "json"), "--force", "--json"]) == EXIT_DONE
+        codes = [notice["code"] for notice in json.loads(capsys.readouterr().out)["notices"]]
+        assert (SAME_FILE.code in codes) == warned
     with (tmp_path / "comparison" / "comparison.csv").open(encoding="utf-8") as file:
         assert {row["channel"] for row in csv.DictReader(file)} == {"Fz"}
     assert WRONG_CONDITION.code in refused("compare", f"a={database}?serial = 'none'", arguments[0])
