@@ -365,13 +365,15 @@ def _chart_options(parser: Parser) -> None:
 @command(_chart_options, "results.parquet --baseline 30 --figure chart.png")
 def chart(options: argparse.Namespace) -> int:
     """Draw control charts of sensors over dates, with limits by moving ranges."""
-    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, print_charts
+    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, drawn_of, print_charts
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
     charts = charts_of(options.database, options.baseline)
     if options.figure:
         write_figure(options.figure, partial(draw_charts, charts))
+        if left_out := drawn_of(charts):
+            log.warning("%s: %s", options.figure, left_out)
     show_table(options, "chart", charts_csv(charts), partial(print_charts, charts))
     return EXIT_DONE
 

@@ -457,6 +457,16 @@ def test_limits_are_those_of_the_moving_range():
     assert phase.sigma == pytest.approx(0.0, abs=1e-12)
 
 
+def test_equal_values_are_within_the_limits():
+    days = [date(2024, 1, 1) + timedelta(days=number) for number in range(3)]
+    for value in (0.1, 2.7e-10):  # whose computed means differ from them
+        charts = control_charts(_row(day, value, phase_rad=0.1) for day in days)
+        assert not any(chart.outside.any() for chart in charts)
+    changed = [_row(day, value) for day, value in zip(days, (1.0, 1.0, 1.0 + 1e-9), strict=True)]
+    assert not control_charts(changed)[0].outside.any()
+    assert control_charts(changed, 2)[0].outside.tolist() == [False, False, True]
+
+
 def test_days_of_a_stable_sensor_are_rarely_beyond_the_limits_and_a_change_is():
     rng = np.random.default_rng(1)
     values = 100.0 + rng.standard_normal(4000)

@@ -25,6 +25,9 @@ RANGE_OF_TWO = 2.0 / np.sqrt(np.pi)
 LIMIT = 3.0
 """Half-width of the limits in standard deviations."""
 MIN_DAYS, FEW_DAYS, MAX_PANELS = 3, 20, 8
+ROUNDING = 1e-12
+"""Deviation from the mean that is rounding, relative to the largest value; of phases relative to one turn."""
+RADIAN = "rad"
 QUANTITIES = (("magnitude", "u_magnitude"), ("phase_rad", "u_phase_rad"))
 
 
@@ -60,7 +63,8 @@ class ControlChart:
     @property
     def outside(self) -> BoolArray:
         """Return the days (N,) beyond the limits, three standard deviations from the mean."""
-        return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma)
+        size = 2.0 * np.pi if self.unit == RADIAN else np.max(np.abs(self.value))
+        return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma + ROUNDING * size)
 
 
 def control_charts(rows: Iterable[Row], baseline: int | None = None) -> tuple[ControlChart, ...]:
@@ -81,7 +85,7 @@ def control_charts(rows: Iterable[Row], baseline: int | None = None) -> tuple[Co
                     value, u = _daily(line, days, name, u_name)
                     if np.isfinite(value).all():
                         named = name.removesuffix("_rad")
-                        unit_of = unit if name == named else "rad"
+                        unit_of = unit if name == named else RADIAN
                         charts.append(
                             ControlChart(f"{what}, {named}", unit_of, tuple(days), value, u, baseline or len(days))
                         )
@@ -142,17 +146,29 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
 
 
 def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
-    """Draw values with U over the years, mean and limits; `kind` is the file format."""
+    """Draw deviations from the mean with U over the years, and the limits; `kind` is the file format.
+
+    Magnitudes in % of the mean.
+    """
     shown = charts[:MAX_PANELS]
     drawn = empty_figure("control-chart", 0.7 + 2.2 * len(shown), len(shown))
     for panel, chart in zip(drawn.panels, shown, strict=True):
-        years, deviation = np.array([year_of(day) for day in chart.days]), chart.value - chart.centre
-        panel.points(years, deviation, "value with U (k = 2)", half_y=2.0 * chart.u, colour=BLUE, size=4.0)
+        relative = chart.unit != RADIAN and chart.centre > 0.0
+        scale, unit = (100.0 / chart.centre, "%") if relative else (1.0, chart.unit)
+        years, deviation = np.array([year_of(day) for day in chart.days]), scale * (chart.value - chart.centre)
+        panel.points(years, deviation, "value with U (k = 2)", half_y=2.0 * scale * chart.u, colour=BLUE, size=4.0)
         panel.points(years[chart.outside], deviation[chart.outside], "beyond the limits", colour=RED, size=6.0)
         panel.rule(0.0, colour=GREY)
-        panel.rule([-LIMIT * chart.sigma, LIMIT * chart.sigma], "limits", colour=RED, dashed=True)
-        panel.y.label = f"{chart.subject.rpartition(', ')[2]} − mean / {chart.unit}"
+        panel.rule([-LIMIT * scale * chart.sigma, LIMIT * scale * chart.sigma], "limits", colour=RED, dashed=True)
+        panel.y.label = f"{chart.subject.rpartition(', ')[2]} − mean / {unit}"
         panel.title = chart.subject
     drawn.panels[-1].x.label = "year"
     text = "Deviation of every day from the mean; limits: three standard deviations by moving ranges (ISO 7870-2)."
-    return render_figure(drawn.with_title("Control chart", text), kind)
+    return render_figure(drawn.with_title("Control chart", f"{text} {drawn_of(charts)}".rstrip()), kind)
+
+
+def drawn_of(charts: Sequence[ControlChart]) -> str:
+    """Return a sentence on charts that a figure leaves out, empty if it has all."""
+    if len(charts) <= MAX_PANELS:
+        return ""
+    return f"First {MAX_PANELS} of {len(charts)} charts; a condition such as component = 'Fz' selects others."
