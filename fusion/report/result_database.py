@@ -46,7 +46,7 @@ class Collected:
 
     read: int
     unchanged: int
-    repeated: int
+    copies: int
     errors: tuple[InputError, ...]
     rows: int
 
@@ -95,7 +95,7 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
     known = dict(zip(pairs["path"].to_pylist(), pairs["tag"].to_pylist(), strict=True))
     unchanged = [path for path, tag in tags.items() if tag and known.get(path) == tag]
     rows = before.filter(pyarrow.compute.is_in(before["path"], pyarrow.array(unchanged, pyarrow.string())))
-    results, new, errors, repeated = set(rows["result"].unique().to_pylist()), list[dict[str, Any]](), [], 0
+    results, new, errors, copies = set(rows["result"].unique().to_pylist()), list[dict[str, Any]](), [], 0
     todo = sorted(tags.keys() - unchanged)
     progress(COLLECT, 0, len(todo))
     for done, found in enumerate(_read(store, todo), 1):
@@ -103,18 +103,18 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
         if isinstance(found, InputError):
             errors.append(found)
         elif found and found[0]["result"] in results:
-            repeated += 1
+            copies += 1
         elif found:
             results.add(found[0]["result"])
             new += [row | {"tag": tags[row["path"]]} for row in found]
     whole = pyarrow.concat_tables([rows, pyarrow.Table.from_pylist(new, schema)])
     if output.exists() and not new and whole.num_rows == before.num_rows:
-        return Collected(0, len(unchanged), repeated, tuple(errors), whole.num_rows)
+        return Collected(0, len(unchanged), copies, tuple(errors), whole.num_rows)
     content = BytesIO()
     ordered = whole.sort_by([(name, "ascending") for name in ORDER])
     pyarrow.parquet.write_table(ordered, content, compression="zstd", row_group_size=ROWS_PER_GROUP)
     write_atomically(output, content.getvalue())
-    return Collected(len(todo) - len(errors) - repeated, len(unchanged), repeated, tuple(errors), whole.num_rows)
+    return Collected(len(todo) - len(errors) - copies, len(unchanged), copies, tuple(errors), whole.num_rows)
 
 
 def query_results(database: str | Path, condition: str = "true") -> list[dict[str, Any]]:

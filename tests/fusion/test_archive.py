@@ -26,7 +26,7 @@ from fusion.campaign.run import run_path
 from fusion.campaign.stored_campaign import SOURCE_FILE
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
-from fusion.errors import InputError
+from fusion.errors import INVALID_OPTION, InputError
 from fusion.report.object_store import ObjectStore
 from fusion.report.report_notices import ARCHIVE_PACKAGES_MISSING, STORE_REFUSED, WRONG_CONDITION
 from fusion.report.result_database import collect_results, query_results
@@ -357,6 +357,15 @@ def test_a_store_is_collected_as_its_folder(archive, tmp_path, memory):
         collect_results(archive, tmp_path / "stored.parquet")
 
 
+def test_a_file_of_another_type_is_not_written(archive, tmp_path, refused):
+    for suffix in (".csv", ".zip", ""):
+        file = tmp_path / f"other{suffix}"
+        with pytest.raises(SystemExit):
+            main(["collect", str(archive), "-o", str(file)])
+        assert INVALID_OPTION.code in refused("export", str(archive / "Jahr 2024" / "Größe 0"), "-o", str(file))
+        assert not file.exists()
+
+
 def test_copies_count_once_and_the_newest_version_of_a_recording_is_used(archive, tmp_path):
     original = archive / "Jahr 2024" / "Größe 0"
     shutil.copytree(original, archive / "copy of it")
@@ -364,7 +373,7 @@ def test_copies_count_once_and_the_newest_version_of_a_recording_is_used(archive
     _copy(original, archive / "oldest", 3.0, same_input="yes", program="0.1.9")
     database = tmp_path / "results.parquet"
     found = collect_results(archive, database)
-    assert (found.read, found.repeated) == (6, 1)
+    assert (found.read, found.copies) == (6, 1)
     assert len({row["path"] for row in query_results(database)}) == 4
     assert {row["path"] for row in query_results(database, "program < '0.2'")} == {"older/result.h5"}
 

@@ -18,7 +18,7 @@ from fusion.report.table import TableColumn, csv_text, text_column
 from fusion.report.terminal import print_table, print_text
 from fusion.sensor.compare.comparison_inputs import Row, rows_by_line, split_query, year_of
 from shakercal._common.arrays import BoolArray, FloatArray
-from shakercal._common.digits import number_text, quantity_text
+from shakercal._common.digits import number_text, quantity_text, typeset
 
 RANGE_OF_TWO = 2.0 / np.sqrt(np.pi)
 """Mean range of two values of a normal distribution over its standard deviation, d2 = 1.128 (ISO 7870-2, table 1)."""
@@ -139,7 +139,9 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
         outside = [day.isoformat() for day, beyond in zip(chart.days, chart.outside, strict=True) if beyond]
         limits = quantity_text(chart.centre, LIMIT * chart.sigma)
         mean_u = number_text(2.0 * float(np.mean(chart.u)), 2)
-        rows.append([chart.subject, str(len(chart.days)), limits, chart.unit, mean_u, ", ".join(outside) or "none"])
+        rows.append(
+            [chart.subject, str(len(chart.days)), limits, typeset(chart.unit), mean_u, ", ".join(outside) or "none"]
+        )
     print_table("", head, "lrrlrl", [rows])
     if min(min(len(chart.days), chart.baseline) for chart in charts) < FEW_DAYS:
         print_text(f"limits from fewer than {FEW_DAYS} days are provisional (ISO 7870-2)")
@@ -154,7 +156,7 @@ def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
     drawn = empty_figure("control-chart", 0.7 + 2.2 * len(shown), len(shown))
     for panel, chart in zip(drawn.panels, shown, strict=True):
         relative = chart.unit != RADIAN and chart.centre > 0.0
-        scale, unit = (100.0 / chart.centre, "%") if relative else (1.0, chart.unit)
+        scale, unit = (100.0 / chart.centre, "%") if relative else (1.0, typeset(chart.unit))
         years, deviation = np.array([year_of(day) for day in chart.days]), scale * (chart.value - chart.centre)
         panel.points(years, deviation, "value with U (k = 2)", half_y=2.0 * scale * chart.u, colour=BLUE, size=4.0)
         panel.points(years[chart.outside], deviation[chart.outside], "beyond the limits", colour=RED, size=6.0)
