@@ -13,8 +13,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import PROGRAM, ProgressCallback, no_progress
-from fusion.errors import OUTPUT_EXISTS, InputError, as_input_error
+from fusion.base import PROGRAM, ProgressCallback, is_address, no_progress
+from fusion.errors import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING, InputError, as_input_error
 from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE, SENSITIVITY_FILE, origin_key, provenance_of
 from fusion.report.h5 import open_results
@@ -85,10 +85,14 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
         import pyarrow
         import pyarrow.compute
         import pyarrow.parquet
-    output, store = Path(output), ObjectStore(str(Path(archive).resolve() if isinstance(archive, Path) else archive))
+    output, stored = Path(output), is_address(str(archive))
+    if not stored and not Path(archive).is_dir():
+        raise InputError(OUTPUT_FOLDER_MISSING, archive, found="no such folder", expected="a folder with results")
+    store = ObjectStore(str(archive if stored else Path(archive).resolve()))
     tags = {name: tag for name, tag in store.files().items() if name.rpartition("/")[2] == RESULT_FILE}
     if not tags:
-        raise InputError(NO_RESULTS, STORE, store.address, expected=RESULT_FILE)
+        where = (STORE, store.address) if stored else (archive,)
+        raise InputError(NO_RESULTS, *where, expected=RESULT_FILE)
     schema = _schema(store.address)
     before = _existing(output, schema)
     pairs = before.group_by(["path", "tag"]).aggregate([])

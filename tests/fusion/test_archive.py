@@ -26,7 +26,7 @@ from fusion.campaign.run import run_path
 from fusion.campaign.stored_campaign import SOURCE_FILE
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
-from fusion.errors import INVALID_OPTION, InputError
+from fusion.errors import INVALID_OPTION, OUTPUT_FOLDER_MISSING, InputError
 from fusion.report.object_store import ObjectStore
 from fusion.report.report_notices import ARCHIVE_PACKAGES_MISSING, STORE_REFUSED, WRONG_CONDITION
 from fusion.report.result_database import collect_results, query_results
@@ -150,17 +150,21 @@ def test_a_single_recording_needs_the_rig_above_it_and_nothing_else(memory, eval
     assert not [name for name in transfers if name.endswith(".tif")]
 
 
-def test_a_zip_is_read_and_refuses_results_before_the_evaluation(campaign, evaluated, tmp_path, refused):
+@pytest.mark.parametrize("folder", ["", "camp/"])
+def test_a_zip_is_read_and_refuses_results_before_the_evaluation(campaign, evaluated, tmp_path, refused, folder):
     file = tmp_path / "all in one.zip"
     with zipfile.ZipFile(file, "w") as packed:
         for path in campaign.rglob("*"):
-            packed.write(path, f"camp/{path.relative_to(campaign).as_posix()}")
-    address = f"zip://camp::{file}"
+            packed.write(path, f"{folder}{path.relative_to(campaign).as_posix()}")
+    address = f"zip://{folder.rstrip('/')}::{file}" if folder else f"zip::{file}"
     assert STORE_REFUSED.code in refused("run", address)
+    assert STORE_REFUSED.code in refused("run", f"zip://{file}")
     assert evaluated == []
     assert main(["run", address, "-q", "-o", str(tmp_path / "out")]) == EXIT_DONE
     assert sorted(evaluated) == sorted(NAMES)
     assert (tmp_path / "out" / NAMES[0] / "result.h5").is_file()
+    assert main(["run", f"zip://{folder}{NAMES[0]}::{file}", "-q", "-o", str(tmp_path / "one")]) == EXIT_DONE
+    assert (tmp_path / "one" / "result.h5").is_file()
 
 
 def test_processes_share_stored_recordings(campaign, evaluated, tmp_path, monkeypatch):
@@ -256,6 +260,13 @@ def test_missing_packages_are_named(monkeypatch, refused):
     assert ARCHIVE_PACKAGES_MISSING.code in sentence
 
 
+def test_the_package_of_an_address_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(InputError, match=ARCHIVE_PACKAGES_MISSING.code) as caught:
+        ObjectStore("s3://bucket/campaign")
+    assert caught.value.values["packages"] == "s3fs"
+
+
 # Databases of results.
 
 
@@ -344,6 +355,8 @@ def test_a_damaged_result_is_reported_and_the_others_are_collected(archive, tmp_
     damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
     database = tmp_path / "results.parquet"
     assert main(["collect", str(archive), "-o", str(database), "-q"]) == EXIT_INPUT
+    with pytest.raises(InputError, match=OUTPUT_FOLDER_MISSING.code):
+        collect_results(tmp_path / "absent", database)
     assert "Jahr 2024/Größe 0/result.h5" in capsys.readouterr().err
     assert len({row["path"] for row in query_results(database)}) == 3
 
