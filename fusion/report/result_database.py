@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -152,15 +153,19 @@ def query_results(database: str | Path, condition: str = "true") -> list[dict[st
         import duckdb
     with as_input_error(Path(database)), Path(database).open("rb"):
         pass
+    if not condition.strip():
+        raise InputError(WRONG_CONDITION, database, reason="found no condition behind the question mark")
     query = QUERY.format(condition=condition)
     try:
+        duckdb.extract_statements(f"select ({condition})")  # by itself, so that messages do not quote the query
         (_,) = duckdb.extract_statements(query)
         with duckdb.connect() as connection:
             answer = connection.execute(query, [str(database)])
             names = [column[0] for column in answer.description]
             return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
     except (duckdb.Error, ValueError) as error:
-        reason = f"found {condition!r}: {' '.join(str(error).partition('LINE 1')[0].split())}"
+        message = re.split(r"LINE \d+:| at or near \"/\*", str(error))[0]
+        reason = f"found {condition!r}: {' '.join(message.split())}"
         raise InputError(WRONG_CONDITION, database, reason=reason) from error
 
 

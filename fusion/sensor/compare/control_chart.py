@@ -105,9 +105,13 @@ def _daily(rows: Sequence[Row], days: Sequence[Date], name: str, u_name: str) ->
 def charts_of(database: Path, baseline: int | None = None) -> tuple[ControlChart, ...]:
     """Return the charts of `DATABASE.parquet?CONDITION`; `InputError` without a chart."""
     file, condition = split_query(database)
-    charts = control_charts(query_results(file, condition), baseline)
+    rows = query_results(file, condition)
+    charts = control_charts(rows, baseline)
     if not charts:
         reason = f"found {condition!r}, which selects no element with results of {MIN_DAYS} days"
+        if undated := len({row["path"] for row in rows if row["date"] is None}):
+            without = "result is" if undated == 1 else "results are"
+            reason += f"; {undated} {without} of recordings without `date` in recording.toml"
         raise InputError(WRONG_CONDITION, file, reason=reason)
     return charts
 
