@@ -167,7 +167,10 @@ def fetched_campaign(address: str, output: str | Path | None = None) -> Iterator
 
 
 def _target(source: ObjectStore, output: str | Path | None) -> ObjectStore | None:
-    """Return the store of the results, None for a local folder; a refusal comes before the evaluation."""
+    """Return the store of the results, None for a local folder.
+
+    A refusal comes before the evaluation.
+    """
     if output is not None and not is_address(str(output)):
         return None
     target = source.below("results") if output is None else ObjectStore(str(output))

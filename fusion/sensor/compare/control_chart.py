@@ -152,9 +152,9 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
 
 
 def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
-    """Draw deviations from the mean with U over the years, and the limits; `kind` is the file format.
+    """Draw deviations from the mean with U over the years, and the limits.
 
-    Magnitudes in % of the mean.
+    Those of magnitudes are in % of the mean. `kind`: file format.
     """
     shown = charts[:MAX_PANELS]
     drawn = empty_figure("control-chart", 0.7 + 2.2 * len(shown), len(shown))
@@ -169,8 +169,10 @@ def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
         panel.y.label = f"{chart.subject.rpartition(', ')[2]} − mean / {unit}"
         panel.title = chart.subject
     drawn.panels[-1].x.label = "year"
+    if len(shown) < len(charts):  # files do not show the caption
+        drawn.panels[0].title += f" (first {len(shown)} of {len(charts)} charts)"
     text = "Deviation of every day from the mean; limits: three standard deviations by moving ranges (ISO 7870-2)."
-    return render_figure(drawn.with_title("Control chart", f"{text} {drawn_of(charts)}".rstrip()), kind)
+    return render_figure(drawn.with_title("Control chart", text), kind)
 
 
 def drawn_of(charts: Sequence[ControlChart]) -> str:
