@@ -324,7 +324,7 @@ def control_chart() -> Figure:
         axes.axhline(100.0 * side * limit, color=RED, lw=0.9, ls="--")
     axes.set(xlabel="year", ylabel="deviation from the mean / %")
     axes.legend(loc="upper left")
-    axes.set_title("Days with U (k = 2), and limits from the first 30 days")
+    axes.set_title("Mean of each day with U (k = 2), and limits from the first 30 days")
     return figure
 
 

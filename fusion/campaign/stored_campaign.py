@@ -155,18 +155,34 @@ def fetched_campaign(address: str, output: str | Path | None = None) -> Iterator
     if RECORDING_NAME in tags:  # its rig may be in the folder above
         source, alone = source.below(".."), source.name
         tags = source.files()
-    whole = f"{address.rstrip('/')}/results" if output is None else str(output)
-    target = ObjectStore(whole) if output is None or is_address(whole) else None
+    target = _target(ObjectStore(address), output)
     if target is not None:
-        target.write({PROBE: b""})  # a refusal comes before the evaluation
-        target.remove([PROBE])
         results = f"{target.address.removeprefix(f'{source.address}/')}/"
         tags = {name: tag for name, tag in tags.items() if not name.startswith(results)}
     top = Path(tempfile.mkdtemp(prefix="shakercal-")).resolve()
     with cleanup_on_signal(partial(shutil.rmtree, top, ignore_errors=True)):
         recordings = _fetch_manifests(source, target, top / source.name, tags, alone)
-        local = top / "results" if target is not None else Path(whole)
+        local = top / "results" if target is not None else Path(str(output))
         yield StoredCampaign(top / source.name / alone, local, target, recordings)
+
+
+def _target(source: ObjectStore, output: str | Path | None) -> ObjectStore | None:
+    """Return the store of the results, None for a local folder.
+
+    A refusal comes before the evaluation.
+    """
+    if output is not None and not is_address(str(output)):
+        return None
+    target = source.below("results") if output is None else ObjectStore(str(output))
+    try:
+        target.write({PROBE: b""})
+        target.remove([PROBE])
+    except InputError as error:
+        if output is not None:
+            raise
+        reason = f"{error.values['reason']}; state -o FOLDER for the results"
+        raise InputError(error.declared, error.file, error.key, reason=reason) from error
+    return target
 
 
 def _fetch_manifests(

@@ -396,7 +396,7 @@ def _export_options(parser: Parser) -> None:
     text = "folder of results (run, transfer, elastomer) or of a recording"
     parser.value("results", path, "RESULTS", text)
     target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write: .uff, or .zarr")
+    target.add_argument("-o", "--output", type=path, metavar="FILE", help="file to write: .uff, .unv or .zarr")
     text = "write the fields of the stereo pairs there: PNG, animated WebP, MP4 and VTK"
     target.add_argument("--fields", type=path, metavar="FOLDER", help=text)
     parser.switch("--inputs", "all uncertain inputs of the main elements with their effects, as CSV, instead")
@@ -418,13 +418,17 @@ def export(options: argparse.Namespace) -> None:
         written = export_fields(options.results, options.fields, force=options.force)
         print(f"fields written: {options.fields} ({len(written)} files)")
         return
+    suffix, suffixes = options.output.suffix.lower(), (".csv",) if options.inputs else (".uff", ".unv", ".zarr")
+    if suffix not in suffixes:
+        reason = f"expected a name that ends in {', '.join(suffixes)}, found {options.output.name}"
+        raise InputError(INVALID_OPTION, options.output, "--output", reason=reason)
     if options.inputs:
         from fusion.report.traceability import export_inputs
 
         count = export_inputs(options.results, options.output, force=options.force)
         print(f"table written: {options.output} ({count} rows)")
         return
-    if options.output.suffix == ".zarr":
+    if suffix == ".zarr":
         from fusion.report.zarr_export import export_zarr
 
         groups = export_zarr(options.results, options.output, force=options.force)

@@ -251,27 +251,19 @@ def three_minutes(text: str) -> tuple[float, ...]:
     return found
 
 
-def figure(text: str) -> Path:
-    """Return the path of a figure in a supported format."""
-    file = path(text)
-    if file.suffix.lower() not in FIGURE_SUFFIXES:
-        raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
-    return file
-
-
-def _named(suffix: str) -> Callable[[str], Path]:
-    """Return the argument type of a file whose name has a suffix."""
+def _named(*suffixes: str) -> Callable[[str], Path]:
+    """Return the argument type of a file whose name has one of some suffixes."""
 
     def check(text: str) -> Path:
         file = path(text)
-        if file.suffix.lower() != suffix:
-            raise argparse.ArgumentTypeError(f"expected a name that ends in {suffix}, found {text}")
+        if file.suffix.lower() not in suffixes:
+            raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(suffixes)}, found {text}")
         return file
 
     return check
 
 
-page, pdf = _named(".html"), _named(".pdf")
+page, pdf, database, figure = _named(".html"), _named(".pdf"), _named(".parquet"), _named(*FIGURE_SUFFIXES)
 
 
 def device(choice: str) -> str:

@@ -17,6 +17,7 @@ from fusion.commands.options import (
     Parser,
     between_0_and_1,
     command,
+    database,
     hertz,
     not_negative,
     path,
@@ -335,7 +336,7 @@ def _collect_options(parser: Parser) -> None:
     text = "folder with results at any depth, or its address in an object store, such as s3://bucket/results"
     parser.value("archive", path_or_address, "ARCHIVE", text)
     text = "Parquet file to write, or to renew by the results that are new or changed"
-    parser.value("-o", path, "DATABASE.parquet", text, dest="output", required=True)
+    parser.value("-o", database, "DATABASE.parquet", text, dest="output", required=True)
 
 
 @command(_collect_options, "archive -o results.parquet")
@@ -347,9 +348,7 @@ def collect(options: argparse.Namespace) -> int:
         found = collect_results(options.archive, options.output, progress)
     for error in found.errors:
         log.error("%s", error)
-    counts = (
-        f"{found.read} read, {found.unchanged} unchanged, {found.repeated} repeated, {len(found.errors)} unreadable"
-    )
+    counts = f"{found.read} read, {found.unchanged} unchanged, {found.copies} copies, {len(found.errors)} unreadable"
     print(f"database: {options.output} ({found.rows} rows; results: {counts})")
     return EXIT_INPUT if found.errors else EXIT_DONE
 
@@ -365,13 +364,15 @@ def _chart_options(parser: Parser) -> None:
 @command(_chart_options, "results.parquet --baseline 30 --figure chart.png")
 def chart(options: argparse.Namespace) -> int:
     """Draw control charts of sensors over dates, with limits by moving ranges."""
-    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, print_charts
+    from fusion.sensor.compare.control_chart import charts_csv, charts_of, draw_charts, drawn_of, print_charts
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
     charts = charts_of(options.database, options.baseline)
     if options.figure:
         write_figure(options.figure, partial(draw_charts, charts))
+        if left_out := drawn_of(charts):
+            log.warning("%s: %s", options.figure, left_out)
     show_table(options, "chart", charts_csv(charts), partial(print_charts, charts))
     return EXIT_DONE
 

@@ -17,7 +17,11 @@ TAGS = ("ETag", "etag", "md5Hash", "CRC", "mtime", "LastModified", "last_modifie
 """Facts of a file that change with its content, by which stores of fsspec have them; the first one is used."""
 WITH_FOLDERS = {"file", "local", "sftp", "ssh", "ftp", "smb", "hdfs", "webdav"}
 """Stores in which a folder has to exist before its files."""
+PACKED = ("zip://", "tar://")
+"""Beginnings of addresses in a file, which is named behind `::`."""
 CREDENTIALS = re.compile(r"(?<=://)[^/@]+@")
+PARENT = re.compile(r"(?<![/:])/[^/]*$|(?<=://)[^/]*$")
+"""What the folder above does not have of an address."""
 STORE = "object store"
 TRANSFERS = 16
 """Files that are read at the same time, to wait less for the network."""
@@ -25,11 +29,16 @@ TRANSFERS = 16
 
 @contextmanager
 def archive_packages() -> Iterator[None]:
-    """Convert a missing package into an `InputError` that says what to install."""
+    """Convert a missing package into an `InputError` that says what to install.
+
+    fsspec raises the `ImportError` of a protocol from that of its package.
+    """
     try:
         yield
     except ImportError as error:
-        raise InputError(ARCHIVE_PACKAGES_MISSING, STORE, reason=str(error)) from error
+        of_protocol = error.__cause__.name if isinstance(error.__cause__, ImportError) else None
+        packages = of_protocol or '"shakercal[archive]"'
+        raise InputError(ARCHIVE_PACKAGES_MISSING, STORE, packages=packages, reason=str(error)) from error
 
 
 class ObjectStore:
@@ -41,6 +50,10 @@ class ObjectStore:
     def __init__(self, address: str) -> None:
         self._whole = address.rstrip("/") if is_address(address) else address
         self.address = CREDENTIALS.sub("", self._whole)
+        if self._whole.startswith(PACKED) and "::" not in self._whole:
+            kind = self._whole.partition(":")[0]
+            reason = f"expected {kind}::FILE.{kind} or {kind}://FOLDER::FILE.{kind}"
+            raise InputError(STORE_REFUSED, STORE, self.address, reason=reason)
         with self._errors(), archive_packages():
             import fsspec
 
@@ -62,7 +75,9 @@ class ObjectStore:
         if not name:
             return self
         first, chain, rest = self._whole.partition("::")
-        first = first.rpartition("/")[0] if name == ".." else f"{first}/{name}"
+        if chain and "://" not in first:  # zip::FILE
+            first += "://"
+        first = PARENT.sub("", first) if name == ".." else f"{first}{'' if first.endswith('/') else '/'}{name}"
         return ObjectStore(first + chain + rest)
 
     def files(self) -> dict[str, str]:

@@ -61,7 +61,7 @@ NOT_PRINTED = DeclaredNotice(
 ARCHIVE_PACKAGES_MISSING = DeclaredNotice(
     "SC-958",
     "error",
-    'expected the packages that `pip install "shakercal[archive]"` installs, found not all ({reason})',
+    "expected the packages that `pip install {packages}` installs, found not all ({reason})",
     effect="The command did not start.",
     remedy='Run `pip install "shakercal[archive]"`, and the package of the store, such as s3fs, gcsfs or adlfs.',
     link="archive.md",

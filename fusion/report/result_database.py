@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,8 +14,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import PROGRAM, ProgressCallback, no_progress
-from fusion.errors import OUTPUT_EXISTS, InputError, as_input_error
+from fusion.base import PROGRAM, ProgressCallback, is_address, no_progress
+from fusion.errors import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING, InputError, as_input_error
 from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE, SENSITIVITY_FILE, origin_key, provenance_of
 from fusion.report.h5 import open_results
@@ -46,7 +47,7 @@ class Collected:
 
     read: int
     unchanged: int
-    repeated: int
+    copies: int
     errors: tuple[InputError, ...]
     rows: int
 
@@ -85,17 +86,21 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
         import pyarrow
         import pyarrow.compute
         import pyarrow.parquet
-    output, store = Path(output), ObjectStore(str(Path(archive).resolve() if isinstance(archive, Path) else archive))
+    output, stored = Path(output), is_address(str(archive))
+    if not stored and not Path(archive).is_dir():
+        raise InputError(OUTPUT_FOLDER_MISSING, archive, found="no such folder", expected="a folder with results")
+    store = ObjectStore(str(archive if stored else Path(archive).resolve()))
     tags = {name: tag for name, tag in store.files().items() if name.rpartition("/")[2] == RESULT_FILE}
     if not tags:
-        raise InputError(NO_RESULTS, STORE, store.address, expected=RESULT_FILE)
+        where = (STORE, store.address) if stored else (archive,)
+        raise InputError(NO_RESULTS, *where, expected=RESULT_FILE)
     schema = _schema(store.address)
     before = _existing(output, schema)
     pairs = before.group_by(["path", "tag"]).aggregate([])
     known = dict(zip(pairs["path"].to_pylist(), pairs["tag"].to_pylist(), strict=True))
     unchanged = [path for path, tag in tags.items() if tag and known.get(path) == tag]
     rows = before.filter(pyarrow.compute.is_in(before["path"], pyarrow.array(unchanged, pyarrow.string())))
-    results, new, errors, repeated = set(rows["result"].unique().to_pylist()), list[dict[str, Any]](), [], 0
+    results, new, errors, copies = set(rows["result"].unique().to_pylist()), list[dict[str, Any]](), [], 0
     todo = sorted(tags.keys() - unchanged)
     progress(COLLECT, 0, len(todo))
     for done, found in enumerate(_read(store, todo), 1):
@@ -103,18 +108,18 @@ def collect_results(archive: str | Path, output: str | Path, progress: ProgressC
         if isinstance(found, InputError):
             errors.append(found)
         elif found and found[0]["result"] in results:
-            repeated += 1
+            copies += 1
         elif found:
             results.add(found[0]["result"])
             new += [row | {"tag": tags[row["path"]]} for row in found]
     whole = pyarrow.concat_tables([rows, pyarrow.Table.from_pylist(new, schema)])
     if output.exists() and not new and whole.num_rows == before.num_rows:
-        return Collected(0, len(unchanged), repeated, tuple(errors), whole.num_rows)
+        return Collected(0, len(unchanged), copies, tuple(errors), whole.num_rows)
     content = BytesIO()
     ordered = whole.sort_by([(name, "ascending") for name in ORDER])
     pyarrow.parquet.write_table(ordered, content, compression="zstd", row_group_size=ROWS_PER_GROUP)
     write_atomically(output, content.getvalue())
-    return Collected(len(todo) - len(errors) - repeated, len(unchanged), repeated, tuple(errors), whole.num_rows)
+    return Collected(len(todo) - len(errors) - copies, len(unchanged), copies, tuple(errors), whole.num_rows)
 
 
 def query_results(database: str | Path, condition: str = "true") -> list[dict[str, Any]]:
@@ -148,15 +153,19 @@ def query_results(database: str | Path, condition: str = "true") -> list[dict[st
         import duckdb
     with as_input_error(Path(database)), Path(database).open("rb"):
         pass
+    if not condition.strip():
+        raise InputError(WRONG_CONDITION, database, reason="found no condition behind the question mark")
     query = QUERY.format(condition=condition)
     try:
+        duckdb.extract_statements(f"select ({condition})")  # by itself, so that messages do not quote the query
         (_,) = duckdb.extract_statements(query)
         with duckdb.connect() as connection:
             answer = connection.execute(query, [str(database)])
             names = [column[0] for column in answer.description]
             return [dict(zip(names, row, strict=True)) for row in answer.fetchall()]
     except (duckdb.Error, ValueError) as error:
-        reason = f"found {condition!r}: {' '.join(str(error).partition('LINE 1')[0].split())}"
+        message = re.split(r"LINE \d+:| at or near \"/\*", str(error))[0]
+        reason = f"found {condition!r}: {' '.join(message.split())}"
         raise InputError(WRONG_CONDITION, database, reason=reason) from error
 
 

@@ -112,7 +112,7 @@ POSSIBLY_SHARED = DeclaredNotice(
 SAME_FILE = DeclaredNotice(
     "SC-773",
     "warning",
-    "{first} and {second} are the same file.",
+    "{first} and {second} are the same file, or have rows of a database in common.",
     effect="Their agreement is no evidence.",
     link="comparison.md",
 )

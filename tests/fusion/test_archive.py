@@ -26,12 +26,13 @@ from fusion.campaign.run import run_path
 from fusion.campaign.stored_campaign import SOURCE_FILE
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_INPUT
-from fusion.errors import InputError
+from fusion.errors import INVALID_OPTION, OUTPUT_FOLDER_MISSING, InputError
 from fusion.report.object_store import ObjectStore
 from fusion.report.report_notices import ARCHIVE_PACKAGES_MISSING, STORE_REFUSED, WRONG_CONDITION
 from fusion.report.result_database import collect_results, query_results
 from fusion.sensor.compare.comparison_inputs import read_compared
 from fusion.sensor.compare.control_chart import control_charts
+from fusion.sensor.result_notices import SAME_FILE
 
 fsspec = pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
@@ -149,17 +150,21 @@ def test_a_single_recording_needs_the_rig_above_it_and_nothing_else(memory, eval
     assert not [name for name in transfers if name.endswith(".tif")]
 
 
-def test_a_zip_is_read_and_refuses_results_before_the_evaluation(campaign, evaluated, tmp_path, refused):
+@pytest.mark.parametrize("folder", ["", "camp/"])
+def test_a_zip_is_read_and_refuses_results_before_the_evaluation(campaign, evaluated, tmp_path, refused, folder):
     file = tmp_path / "all in one.zip"
     with zipfile.ZipFile(file, "w") as packed:
         for path in campaign.rglob("*"):
-            packed.write(path, f"camp/{path.relative_to(campaign).as_posix()}")
-    address = f"zip://camp::{file}"
+            packed.write(path, f"{folder}{path.relative_to(campaign).as_posix()}")
+    address = f"zip://{folder.rstrip('/')}::{file}" if folder else f"zip::{file}"
     assert STORE_REFUSED.code in refused("run", address)
+    assert STORE_REFUSED.code in refused("run", f"zip://{file}")
     assert evaluated == []
     assert main(["run", address, "-q", "-o", str(tmp_path / "out")]) == EXIT_DONE
     assert sorted(evaluated) == sorted(NAMES)
     assert (tmp_path / "out" / NAMES[0] / "result.h5").is_file()
+    assert main(["run", f"zip://{folder}{NAMES[0]}::{file}", "-q", "-o", str(tmp_path / "one")]) == EXIT_DONE
+    assert (tmp_path / "one" / "result.h5").is_file()
 
 
 def test_processes_share_stored_recordings(campaign, evaluated, tmp_path, monkeypatch):
@@ -255,6 +260,13 @@ def test_missing_packages_are_named(monkeypatch, refused):
     assert ARCHIVE_PACKAGES_MISSING.code in sentence
 
 
+def test_the_package_of_an_address_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(InputError, match=ARCHIVE_PACKAGES_MISSING.code) as caught:
+        ObjectStore("s3://bucket/campaign")
+    assert caught.value.values["packages"] == "s3fs"
+
+
 # Databases of results.
 
 
@@ -343,6 +355,8 @@ def test_a_damaged_result_is_reported_and_the_others_are_collected(archive, tmp_
     damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
     database = tmp_path / "results.parquet"
     assert main(["collect", str(archive), "-o", str(database), "-q"]) == EXIT_INPUT
+    with pytest.raises(InputError, match=OUTPUT_FOLDER_MISSING.code):
+        collect_results(tmp_path / "absent", database)
     assert "Jahr 2024/Größe 0/result.h5" in capsys.readouterr().err
     assert len({row["path"] for row in query_results(database)}) == 3
 
@@ -356,6 +370,15 @@ def test_a_store_is_collected_as_its_folder(archive, tmp_path, memory):
         collect_results(archive, tmp_path / "stored.parquet")
 
 
+def test_a_file_of_another_type_is_not_written(archive, tmp_path, refused):
+    for suffix in (".csv", ".zip", ""):
+        file = tmp_path / f"other{suffix}"
+        with pytest.raises(SystemExit):
+            main(["collect", str(archive), "-o", str(file)])
+        assert INVALID_OPTION.code in refused("export", str(archive / "Jahr 2024" / "Größe 0"), "-o", str(file))
+        assert not file.exists()
+
+
 def test_copies_count_once_and_the_newest_version_of_a_recording_is_used(archive, tmp_path):
     original = archive / "Jahr 2024" / "Größe 0"
     shutil.copytree(original, archive / "copy of it")
@@ -363,19 +386,20 @@ def test_copies_count_once_and_the_newest_version_of_a_recording_is_used(archive
     _copy(original, archive / "oldest", 3.0, same_input="yes", program="0.1.9")
     database = tmp_path / "results.parquet"
     found = collect_results(archive, database)
-    assert (found.read, found.repeated) == (6, 1)
+    assert (found.read, found.copies) == (6, 1)
     assert len({row["path"] for row in query_results(database)}) == 4
     assert {row["path"] for row in query_results(database, "program < '0.2'")} == {"older/result.h5"}
 
 
 def test_wrong_conditions_are_refused(archive, tmp_path):
     collect_results(archive, tmp_path / "results.parquet")
-    for condition in ("nofield = 1", "1 = 1) union (select", "channel", "1=1); select (1"):
-        with pytest.raises(InputError, match=WRONG_CONDITION.code):
+    for condition in ("nofield = 1", "1 = 1) union (select", "channel", "1=1); select (1", "", "serial = '1", "1 /* 2"):
+        with pytest.raises(InputError, match=WRONG_CONDITION.code) as caught:
             query_results(tmp_path / "results.parquet", condition)
+        assert "partition" not in str(caught.value)  # part of the query around the condition
 
 
-def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
+def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused, capsys):
     database = tmp_path / "results.parquet"
     collect_results(archive, database)
     queries = {str(year): f"{database}?channel = 'Fz' and year(date) = {year}" for year in (2024, 2026)}
@@ -392,6 +416,11 @@ def test_compare_takes_means_of_selected_rows(archive, tmp_path, refused):
         assert int(value.year) == year
     arguments = [f"{name}={query}" for name, query in queries.items()]
     assert main(["compare", *arguments, "-o", str(tmp_path / "comparison"), "-q"]) == EXIT_DONE
+    for other, warned in ((arguments[1], False), (f"every={database}?channel = 'Fz'", True)):
+        capsys.readouterr()
+        assert main(["compare", arguments[0], other, "-o", str(tmp_path / "json"), "--force", "--json"]) == EXIT_DONE
+        codes = [notice["code"] for notice in json.loads(capsys.readouterr().out)["notices"]]
+        assert (SAME_FILE.code in codes) == warned
     with (tmp_path / "comparison" / "comparison.csv").open(encoding="utf-8") as file:
         assert {row["channel"] for row in csv.DictReader(file)} == {"Fz"}
     assert WRONG_CONDITION.code in refused("compare", f"a={database}?serial = 'none'", arguments[0])
@@ -449,6 +478,16 @@ def test_limits_are_those_of_the_moving_range():
     assert 3.0 * magnitude.sigma == pytest.approx(2.66 * statistics.mean([2.0, 1.0, 2.0, 3.0]), rel=1e-3)
     assert not magnitude.outside.any()
     assert phase.sigma == pytest.approx(0.0, abs=1e-12)
+
+
+def test_equal_values_are_within_the_limits():
+    days = [date(2024, 1, 1) + timedelta(days=number) for number in range(3)]
+    for value in (0.1, 2.7e-10):  # whose computed means differ from them
+        charts = control_charts(_row(day, value, phase_rad=0.1) for day in days)
+        assert not any(chart.outside.any() for chart in charts)
+    changed = [_row(day, value) for day, value in zip(days, (1.0, 1.0, 1.0 + 1e-9), strict=True)]
+    assert not control_charts(changed)[0].outside.any()
+    assert control_charts(changed, 2)[0].outside.tolist() == [False, False, True]
 
 
 def test_days_of_a_stable_sensor_are_rarely_beyond_the_limits_and_a_change_is():

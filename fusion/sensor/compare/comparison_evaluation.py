@@ -446,7 +446,8 @@ def _notices(
         possible = list(find_possible_shared_inputs(one, other))
         if possible:
             found.append(Notice(declared.POSSIBLY_SHARED, "comparison", **names, inputs=", ".join(possible)))
-        if Path(one.file).resolve() == Path(other.file).resolve():
+        disjoint = one.rows is not None and other.rows is not None and one.rows.isdisjoint(other.rows)
+        if Path(one.file).resolve() == Path(other.file).resolve() and not disjoint:
             found.append(Notice(declared.SAME_FILE, "comparison", **names))
     if unmatched:
         found.append(Notice(declared.UNMATCHED_VALUES, "comparison", count=len(unmatched)))

@@ -81,7 +81,7 @@ class ComparedResult:
     `date` and `certificate` (number) of a certificate. `notices`: on its signature, or on its uncertainties.
     `repeats`: most rows at one frequency of a table, which are averaged. `responses`: number of ratios left out because
     the output does not belong to the driven load. The effect of other loads on such an output is as large as the output
-    itself, and differs between rigs.
+    itself, and differs between rigs. `rows`: which rows of a database were selected, None for other files.
     """
 
     name: str
@@ -93,6 +93,7 @@ class ComparedResult:
     repeats: int = 1
     responses: int = 0
     certificate: str = ""
+    rows: frozenset[tuple[Any, ...]] | None = None
 
 
 def result_file(path: Path) -> Path:
@@ -220,7 +221,9 @@ def _queried(name: str, file: Path, condition: str) -> ComparedResult:
             means[mean.frequency_hz, channel, component, kind] = mean
     values, responses = _without_responses([means[key] for key in _best(means)])
     repeats = max(len(line) for lines in found.values() for line in lines)
-    return ComparedResult(name, file, values, repeats=repeats, responses=responses)
+    identity = ("path", "channel", "component", "kind", "frequency_hz")
+    selected = frozenset(tuple(row[key] for key in identity) for row in rows)
+    return ComparedResult(name, file, values, repeats=repeats, responses=responses, rows=selected)
 
 
 Row: TypeAlias = Mapping[str, Any]

@@ -18,13 +18,16 @@ from fusion.report.table import TableColumn, csv_text, text_column
 from fusion.report.terminal import print_table, print_text
 from fusion.sensor.compare.comparison_inputs import Row, rows_by_line, split_query, year_of
 from shakercal._common.arrays import BoolArray, FloatArray
-from shakercal._common.digits import number_text, quantity_text
+from shakercal._common.digits import number_text, quantity_text, typeset
 
 RANGE_OF_TWO = 2.0 / np.sqrt(np.pi)
 """Mean range of two values of a normal distribution over its standard deviation, d2 = 1.128 (ISO 7870-2, table 1)."""
 LIMIT = 3.0
 """Half-width of the limits in standard deviations."""
 MIN_DAYS, FEW_DAYS, MAX_PANELS = 3, 20, 8
+ROUNDING = 1e-12
+"""Deviation from the mean that is rounding, relative to the largest value; of phases relative to one turn."""
+RADIAN = "rad"
 QUANTITIES = (("magnitude", "u_magnitude"), ("phase_rad", "u_phase_rad"))
 
 
@@ -60,7 +63,8 @@ class ControlChart:
     @property
     def outside(self) -> BoolArray:
         """Return the days (N,) beyond the limits, three standard deviations from the mean."""
-        return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma)
+        size = 2.0 * np.pi if self.unit == RADIAN else np.max(np.abs(self.value))
+        return np.asarray(np.abs(self.value - self.centre) > LIMIT * self.sigma + ROUNDING * size)
 
 
 def control_charts(rows: Iterable[Row], baseline: int | None = None) -> tuple[ControlChart, ...]:
@@ -81,7 +85,7 @@ def control_charts(rows: Iterable[Row], baseline: int | None = None) -> tuple[Co
                     value, u = _daily(line, days, name, u_name)
                     if np.isfinite(value).all():
                         named = name.removesuffix("_rad")
-                        unit_of = unit if name == named else "rad"
+                        unit_of = unit if name == named else RADIAN
                         charts.append(
                             ControlChart(f"{what}, {named}", unit_of, tuple(days), value, u, baseline or len(days))
                         )
@@ -101,9 +105,13 @@ def _daily(rows: Sequence[Row], days: Sequence[Date], name: str, u_name: str) ->
 def charts_of(database: Path, baseline: int | None = None) -> tuple[ControlChart, ...]:
     """Return the charts of `DATABASE.parquet?CONDITION`; `InputError` without a chart."""
     file, condition = split_query(database)
-    charts = control_charts(query_results(file, condition), baseline)
+    rows = query_results(file, condition)
+    charts = control_charts(rows, baseline)
     if not charts:
         reason = f"found {condition!r}, which selects no element with results of {MIN_DAYS} days"
+        if undated := len({row["path"] for row in rows if row["date"] is None}):
+            without = "result is" if undated == 1 else "results are"
+            reason += f"; {undated} {without} of recordings without `date` in recording.toml"
         raise InputError(WRONG_CONDITION, file, reason=reason)
     return charts
 
@@ -135,24 +143,40 @@ def print_charts(charts: Sequence[ControlChart]) -> None:
         outside = [day.isoformat() for day, beyond in zip(chart.days, chart.outside, strict=True) if beyond]
         limits = quantity_text(chart.centre, LIMIT * chart.sigma)
         mean_u = number_text(2.0 * float(np.mean(chart.u)), 2)
-        rows.append([chart.subject, str(len(chart.days)), limits, chart.unit, mean_u, ", ".join(outside) or "none"])
+        rows.append(
+            [chart.subject, str(len(chart.days)), limits, typeset(chart.unit), mean_u, ", ".join(outside) or "none"]
+        )
     print_table("", head, "lrrlrl", [rows])
     if min(min(len(chart.days), chart.baseline) for chart in charts) < FEW_DAYS:
         print_text(f"limits from fewer than {FEW_DAYS} days are provisional (ISO 7870-2)")
 
 
 def draw_charts(charts: Sequence[ControlChart], kind: str) -> bytes:
-    """Draw values with U over the years, mean and limits; `kind` is the file format."""
+    """Draw deviations from the mean with U over the years, and the limits.
+
+    Those of magnitudes are in % of the mean. `kind`: file format.
+    """
     shown = charts[:MAX_PANELS]
     drawn = empty_figure("control-chart", 0.7 + 2.2 * len(shown), len(shown))
     for panel, chart in zip(drawn.panels, shown, strict=True):
-        years, deviation = np.array([year_of(day) for day in chart.days]), chart.value - chart.centre
-        panel.points(years, deviation, "value with U (k = 2)", half_y=2.0 * chart.u, colour=BLUE, size=4.0)
+        relative = chart.unit != RADIAN and chart.centre > 0.0
+        scale, unit = (100.0 / chart.centre, "%") if relative else (1.0, typeset(chart.unit))
+        years, deviation = np.array([year_of(day) for day in chart.days]), scale * (chart.value - chart.centre)
+        panel.points(years, deviation, "value with U (k = 2)", half_y=2.0 * scale * chart.u, colour=BLUE, size=4.0)
         panel.points(years[chart.outside], deviation[chart.outside], "beyond the limits", colour=RED, size=6.0)
         panel.rule(0.0, colour=GREY)
-        panel.rule([-LIMIT * chart.sigma, LIMIT * chart.sigma], "limits", colour=RED, dashed=True)
-        panel.y.label = f"{chart.subject.rpartition(', ')[2]} − mean / {chart.unit}"
+        panel.rule([-LIMIT * scale * chart.sigma, LIMIT * scale * chart.sigma], "limits", colour=RED, dashed=True)
+        panel.y.label = f"{chart.subject.rpartition(', ')[2]} − mean / {unit}"
         panel.title = chart.subject
     drawn.panels[-1].x.label = "year"
+    if len(shown) < len(charts):  # files do not show the caption
+        drawn.panels[0].title += f" (first {len(shown)} of {len(charts)} charts)"
     text = "Deviation of every day from the mean; limits: three standard deviations by moving ranges (ISO 7870-2)."
     return render_figure(drawn.with_title("Control chart", text), kind)
+
+
+def drawn_of(charts: Sequence[ControlChart]) -> str:
+    """Return a sentence on charts that a figure leaves out, empty if it has all."""
+    if len(charts) <= MAX_PANELS:
+        return ""
+    return f"First {MAX_PANELS} of {len(charts)} charts; a condition such as component = 'Fz' selects others."
