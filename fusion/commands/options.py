@@ -240,7 +240,11 @@ def elements(text: str) -> tuple[tuple[str, str], ...]:
     pairs = [part.strip().partition("/") for part in text.split(",")]
     if not all(channel and load for channel, _, load in pairs):
         raise argparse.ArgumentTypeError(f"expected elements such as Fz/Fz,My/Fx, found {ascii(text)[:60]}")
-    return tuple((channel, load) for channel, _, load in pairs)
+    found = tuple((channel, load) for channel, _, load in pairs)
+    repeated = next((pair for i, pair in enumerate(found) if pair in found[:i]), None)
+    if repeated is not None:
+        raise argparse.ArgumentTypeError(f"expected every element once, found {'/'.join(repeated)[:60]} twice")
+    return found
 
 
 def three_minutes(text: str) -> tuple[float, ...]:

@@ -90,7 +90,7 @@ def plan(options: argparse.Namespace) -> None:
     if options.next is not None:
         _plan_next(options)
         return
-    _refuse(options, OF_NEXT, "--frequencies or --lines", "--next with it")
+    _refuse(options, OF_NEXT, "no --next", "--next with it")
     if options.setup is not None:
         from fusion.planning.camera_setup import print_setup, read_setup
 

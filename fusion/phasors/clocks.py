@@ -33,6 +33,8 @@ MIN_IMPROVEMENT = 0.5
 
 RATE_STEP = 0.2
 """Turns of a line over the record from one frame rate to the next of a search (chosen)."""
+LARGEST_RATE_ERROR, LEAST_EXPLAINED = 3.0 * U_FRAME_RATE, 0.5
+"""Largest relative error of a stated frame rate, and least share of the motion's variance in the lines (chosen)."""
 TURN = 0.01
 """Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
 U_SHARED_FREQUENCY = 1e-8
@@ -179,16 +181,31 @@ def _with_frame_rate(
     Their start remains unknown within a period of the lowest line: a rectangular distribution (GUM 4.3.7).
     """
     daq, fit = base.first_with(entry.trigger)
-    seen = period_from_motion(base, [_at_near_rate(measured, lines) for measured in motions], lines)
-    if seen is None:
-        where, found = f"images.{entry.stereo}.frame_rate", f"{entry.frame_rate:g} Hz"
-        expected = "the rate within 0.3 %, and two periods of the beat of a driven line or more, which determine it"
+    near = [_at_near_rate(measured, lines) for measured in motions]
+    seen, stated_hz = period_from_motion(base, near, lines), entry.frame_rate
+    assert stated_hz is not None
+    moving = [measured for measured in near if measured.sight.pair.body != STATIONARY]
+    explained = 0.0 if seen is None else min(_explained(measured, lines, seen[0]) for measured in moving)
+    if seen is None or explained < LEAST_EXPLAINED or abs(1.0 / (seen[0] * stated_hz) - 1.0) > LARGEST_RATE_ERROR:
+        where, found = f"images.{entry.stereo}.frame_rate", f"{stated_hz:g} Hz, which the motion does not confirm"
+        within = f"the rate within {100.0 * LARGEST_RATE_ERROR:g} %"
+        expected = f"{within}, and two periods of the beat of a driven line or more, which determine it"
         raise InputError(IMAGES_REFUSED, manifest.path, where, found=found, expected=expected)
     u_start_s = 1.0 / (np.sqrt(12.0) * float(lines.frequency_hz.min()))
     start = nominal_trigger(fit.edges, seen[0], np.diag([u_start_s, seen[1]]) ** 2)
     notice = Notice(FRAMES_FREE_RUNNING, "frames", rate_hz=1.0 / seen[0], u_relative=seen[1] / seen[0])
     free = replace(start, known_period_s=seen, notices=(notice,))
     return replace(base, triggers={**base.triggers, (daq, entry.trigger): free})
+
+
+def _explained(measured: StereoMotion, lines: LineFrequencies, period_s: float) -> float:
+    """Return the share of the variance of a motion's first component that lines at a frame rate explain."""
+    sight, values = measured.sight, measured.motion.pose[:, 0]
+    edge, usable = sight.edge - sight.edge[0], np.isfinite(values)
+    wave = np.exp(2j * np.pi * period_s * np.multiply.outer(edge[usable], lines.frequency_hz))
+    design = np.concatenate([np.ones((len(wave), 1)), wave.real, wave.imag], axis=1)
+    residual = values[usable] - design @ np.linalg.lstsq(design, values[usable], rcond=None)[0]
+    return float(1.0 - np.var(residual) / np.var(values[usable]))
 
 
 def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotion:
@@ -207,7 +224,7 @@ def _at_near_rate(measured: StereoMotion, lines: LineFrequencies) -> StereoMotio
     driven[usable] = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
     middle, frequency_hz = float(time_s.mean()), float(lines.frequency_hz[0])
     step = RATE_STEP / (frequency_hz * float(np.ptp(time_s)))
-    most = np.ceil(3.0 * U_FRAME_RATE / step)
+    most = np.ceil(LARGEST_RATE_ERROR / step)
     stretch = 1.0 + step * np.arange(-most, most + 1)
     turn = 2j * np.pi * frequency_hz * np.multiply.outer(stretch, time_s[usable] - middle)
     best = stretch[np.argmax(np.abs(np.exp(-turn) @ driven[usable]))]

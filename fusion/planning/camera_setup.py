@@ -36,6 +36,8 @@ from shakercal._common.digits import number_text
 
 WAVELENGTH_M = 550e-9
 """Middle of visible light."""
+LEAST_FACE_PX = 20
+"""Shorter side of a face in the image (chosen)."""
 WIDTH_OF_CORRELATION = 2.0 * sqrt(2.0 * log(2.0))
 """Full width at half maximum of exp(−τ²/ℓ²) times √2/ℓ, the rms slope of grey values of unit scatter: 2√(2 ln 2)."""
 
@@ -52,7 +54,8 @@ class CameraSetup(ManifestBlock):
     """Data sheets and distances of a stereo pair, one camera, or both.
 
     In SI units. Vectors are in face axes: x to the right, y up, z out of the face. `view_angle`: of one camera, turned
-    about y as those of a pair. `origin`: of the sensor, from the centre of the face. `direction`: of the excitation.
+    about y as those of a pair. `face`: the part in the image. `origin`: of the sensor, from the centre of the face.
+    `direction`: of the excitation.
     """
 
     format: Version = 1
@@ -78,6 +81,14 @@ class CameraSetup(ManifestBlock):
     def _sees_the_face(self) -> Self:
         if self.distance <= self.focal_length:
             raise refusal("a distance beyond the focal length", f"{self.distance:g}", key="distance")
+        pixel_m = self.pixel * (self.distance - self.focal_length) / self.focal_length
+        wide, high = (count * pixel_m for count in self.image)
+        shown = f"{1e3 * self.face[0]:.3g} × {1e3 * self.face[1]:.3g} mm"
+        if self.face[0] > wide or self.face[1] > high:
+            raise refusal(f"a face within the field of {1e3 * wide:.3g} × {1e3 * high:.3g} mm", shown, key="face")
+        if min(self.face) < LEAST_FACE_PX * pixel_m:
+            expected = f"a face of {LEAST_FACE_PX} px or more at {self.distance:g} m, {1e3 * pixel_m:.3g} mm each"
+            raise refusal(expected, shown, key="face")
         if self.stereo_angle is None and self.view_angle is None:
             expected = "stereo_angle of a pair, or view_angle of one camera"
             raise refusal(expected, "neither", key="stereo_angle", declared=MISSING_KEY)
@@ -142,12 +153,11 @@ def estimate_setup(setup: CameraSetup) -> SetupEstimate:
     magnification = setup.focal_length / (setup.distance - setup.focal_length)
     pixel_m = setup.pixel / magnification
     field_m = setup.image[0] * pixel_m, setup.image[1] * pixel_m
-    used_m = [min(face, field) for face, field in zip(setup.face, field_m, strict=True)]
     slope = WIDTH_OF_CORRELATION * setup.contrast / (setup.speckle * pixel_m)
-    x, y = (side_m * ((np.arange(GRID) + 0.5) / GRID - 0.5) for side_m in used_m)
+    x, y = (side_m * ((np.arange(GRID) + 0.5) / GRID - 0.5) for side_m in setup.face)
     points = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.zeros(GRID**2)], axis=1)
     per_pixel = (slope / setup.noise) ** 2
-    used_px = used_m[0] * used_m[1] / pixel_m**2
+    used_px = setup.face[0] * setup.face[1] / pixel_m**2
 
     def information(eye: FloatArray) -> FloatArray:
         ray = points - setup.distance * eye

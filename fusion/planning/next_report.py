@@ -27,7 +27,8 @@ from fusion.planning.next_recordings import (
     propose,
 )
 from fusion.planning.planning_notices import NEXT_ELEMENT, NEXT_HOURS, NEXT_WITHOUT_MATRIX
-from fusion.report.figure import COLOURS, empty_figure
+from fusion.recording.load import RECORDING_NAME
+from fusion.report.figure import COLOURS, GREY, empty_figure
 from fusion.report.figure_files import render_figure
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
@@ -47,6 +48,8 @@ def plan_next(folder: Path, elements: Sequence[tuple[str, str]] | None, hours: f
     `InputError` without a matrix, for an element that it lacks, and if no recording fits into the time.
     """
     folders = sorted(path.parent for path in folder.glob(f"*/{RESULT_FILE}"))
+    if not folders:
+        raise InputError(NEXT_WITHOUT_MATRIX, folder, "--next", found=_kind(folder), expected="results of a campaign")
     recorded = with_unique_names([read_recorded(one) for one in folders])
     evaluation = evaluate_campaign(folder.name, recorded, {})
     if not evaluation.matrices:
@@ -64,6 +67,20 @@ def plan_next(folder: Path, elements: Sequence[tuple[str, str]] | None, hours: f
         expected = f"at least {number_text(least, 2)} h, the shortest recording with its mounting"
         raise InputError(NEXT_HOURS, "--hours", found=f"{hours:g} h", expected=expected)
     return propose(chosen, candidates, joint_information(recorded, fits, chosen, candidates), 60.0 * hours)
+
+
+def _kind(folder: Path) -> str:
+    """Return what a folder without results of a campaign is."""
+    if not folder.exists():
+        return "no such folder"
+    if folder.is_file():
+        return "a file"
+    if (folder / RESULT_FILE).is_file():
+        return "results of one recording"
+    if (folder / RECORDING_NAME).is_file():
+        return "a recording"
+    recordings = any(folder.glob(f"*/{RECORDING_NAME}"))
+    return "recordings of a campaign, not its results" if recordings else "a folder without results"
 
 
 def _chosen(
@@ -141,8 +158,13 @@ def predictions(proposal: Proposal, step: int) -> list[Prediction]:
 
 
 def _percent(name: str, head: str, value: Callable[[Prediction], float]) -> TableColumn[Prediction]:
-    """Return the column of a ratio, shown in per cent."""
-    return TableColumn(name, value, f"{head} / %", lambda row: number_text(100.0 * value(row), 3))
+    """Return the column of a ratio, shown in per cent with three digits."""
+
+    def shown(row: Prediction) -> str:
+        text = f"{100.0 * value(row):#.3g}".removesuffix(".")
+        return text if "e" not in text else number_text(100.0 * value(row), 3)
+
+    return TableColumn(name, value, f"{head} / %", shown)
 
 
 COLUMNS: list[TableColumn[Prediction]] = [
@@ -193,8 +215,8 @@ def print_next(proposal: Proposal) -> None:
                 f"{100.0 * (1.0 - row.halved / row.then):.0f} %."
             )
     print_text(
-        "U / now: mean of predicted over present U; then: after these recordings; limit: with endless repeats of all; "
-        "halved: then, with half the u of the largest common influence"
+        "U / now: mean of predicted over present U; then: after these recordings; limit: with endless repeats of all, "
+        "with the present instruments; halved: then, with half the u of the largest common influence"
     )
 
 
@@ -211,6 +233,7 @@ def draw_next(proposal: Proposal, kind: str) -> bytes:
     for e, (limit, colour) in enumerate(zip(limits, cycle(COLOURS), strict=False)):
         panel.line(hours, ratios[:, e], names[e], colour=colour)
         panel.points(hours, ratios[:, e], colour=colour, size=3.5)
-        panel.rule(limit, "endless repeats", colour=colour, dashed=True, width=0.6)
+        panel.rule(limit, colour=colour, dashed=True, width=0.6)
+    panel.rule(np.nan, "endless repeats, present instruments", colour=GREY, dashed=True, width=0.6)
     panel.x.label, panel.y.label, panel.y.limits = "time / h", "U over present U", (0.0, 1.05)
     return render_figure(drawn.with_title("Next recordings", "Predicted U over the time."), kind)

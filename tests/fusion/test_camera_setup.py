@@ -96,6 +96,8 @@ def test_the_table_has_units(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ("old", "new", "key"),
     [
         ("distance = 0.55", "distance = 0.05", "distance"),
+        ("distance = 0.55", "distance = 0.2", "face"),  # field of 24 × 18 mm
+        ("distance = 0.55", "distance = 55", "face"),  # 4.4 mm a pixel: 9 px
         ("image = [2000, 1500]", "image = [2000]", "image"),
         ("f_number = 8.0", "f_number = 0", "f_number"),
         ("stereo_angle = 60.0", "stereo_angle = 180", "stereo_angle"),

@@ -151,7 +151,15 @@ def test_choices_are_near_the_best_of_all() -> None:
 
 
 def test_wrong_input_is_one_sentence(refused: RefusedCommand, tmp_path: Path) -> None:
-    assert NEXT_WITHOUT_MATRIX.code in refused("plan", "--next", tmp_path)
+    recording, results = tmp_path / "campaign" / "one", tmp_path / "other" / "results"
+    for file in (recording / "recording.toml", results / "result.h5"):
+        file.parent.mkdir(parents=True)
+        file.touch()
+    wrong = tmp_path, tmp_path / "missing", recording / "recording.toml", recording, recording.parent, results
+    assert len({refused("plan", "--next", path).replace(str(path), "") for path in wrong}) == len(wrong)
+    assert NEXT_WITHOUT_MATRIX.code in refused("plan", "--next", recording)
+    with pytest.raises(SystemExit, match="2"):
+        main(["plan", "--next", str(tmp_path), "--elements", "Fz/Fz,My/Fx, Fz/Fz"])
     assert "--rate" in refused("plan", "--next", tmp_path, "--rate", "50")
     assert "--hours" in refused("plan", "--frequencies", "80", "--hours", "3")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,8 +16,9 @@ from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.stereo import SURFACE, StereoReading
 from fusion.phasors import clocks
 from fusion.phasors.image_effects import THROUGH, phasor_motion, surface_effects, with_surface_at_rest
-from fusion.phasors.phasor_notices import SINGLE_CAMERA_NOT_ASSESSED
+from fusion.phasors.phasor_notices import IMAGES_REFUSED, SINGLE_CAMERA_NOT_ASSESSED
 from fusion.phasors.stereo_motion import StereoMotion
+from fusion.phasors.timing import U_FRAME_RATE, Exposure, Sight, TimeBase
 from fusion.planning.check import check
 from fusion.planning.look.look import look
 from fusion.recording.load import load_manifest
@@ -30,6 +32,7 @@ from photogram.direct.surface import PlacedCamera, PlainShapes, motion_from_posi
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion
 from shaker.sine.phasor import Phasors
+from shaker.timebase.trigger import nominal_trigger
 
 FACE = np.array([0.01, -0.005, 0.07])
 FACE_POINTS = FACE + np.stack(
@@ -218,6 +221,44 @@ def test_the_motion_shows_the_rate_of_frames_without_a_trigger(off, lost):
         found = clocks._at_near_rate(measured, lines)
     stretch = np.ptp(found.sight.time_s) / np.ptp(time_s)
     assert abs(stretch - 1.0 / (1.0 + off)) < clocks.RATE_STEP / (80.0 * np.ptp(time_s))
+
+
+@pytest.mark.parametrize(
+    ("true_hz", "stated_hz", "frames", "confirmed"),
+    [
+        (38.35, 38.35 * 1.002, 120, True),
+        (38.35, 38.35 * 0.998, 40, True),
+        (38.35, 39.0, 40, False),
+        (38.35, 39.0, 120, False),
+        (38.35, 37.7, 400, False),
+        (38.35, 38.35 * 1.005, 120, False),
+    ],
+)
+def test_a_frame_rate_that_the_motion_contradicts_is_refused(true_hz, stated_hz, frames, confirmed):
+    """Frames of a sine of 80 Hz with 2 % of a second harmonic, at even instants of the true rate."""
+    phase = 2.0 * np.pi * 80.0 * np.arange(frames) / true_hz
+    pose = np.zeros((frames, 6))
+    pose[:, 2] = 1e-5 * (np.sin(phase + 1.0) + 0.02 * np.sin(2.0 * phase))
+    pose += 1e-7 * np.random.default_rng(2).normal(size=pose.shape)
+    motion = RigidMotion(pose, np.tile(np.eye(6), (frames, 1, 1)), np.zeros(frames), np.full(frames, 9), np.zeros(3))
+    fit = nominal_trigger(frames, 1.0 / stated_hz, np.diag([0.0, (U_FRAME_RATE / stated_hz) ** 2]))
+    sight = Sight("top", PAIR, Exposure("film", 1e-4), fit.edge_s, 1.0, (Path(), ""), fit.number)
+    lines: Any = SimpleNamespace(
+        frequency_hz=np.array([80.0, 160.0]), nominal_hz=np.array([80.0, 80.0]), multiple=np.array([1, 2])
+    )
+    base = TimeBase((), {("daq", "film"): fit}, {"daq": None})
+    manifest: Any = SimpleNamespace(path=Path("recording.toml"))
+    entry: Any = SimpleNamespace(stereo="top", trigger="film", frame_rate=stated_hz)
+    measured = StereoMotion(sight, motion, (), np.nan, None, ())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clocks, "_reference", lambda *_: (0.0, 0.0))
+        if confirmed:
+            found = clocks._with_frame_rate(manifest, base, entry, [measured], lines).triggers["daq", "film"]
+            assert abs(found.period_s * true_hz - 1.0) < 2e-5
+            return
+        with pytest.raises(InputError) as error:
+            clocks._with_frame_rate(manifest, base, entry, [measured], lines)
+    assert (error.value.code, error.value.key) == (IMAGES_REFUSED.code, "images.top.frame_rate")
 
 
 @pytest.mark.parametrize(
