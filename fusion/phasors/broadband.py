@@ -171,7 +171,7 @@ def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, flo
 def _ratios(
     manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
 ) -> tuple[TransferFunction, FloatArray, str, RestError | None]:
-    """Return the ratios at frequencies with a signal, a list of those without, and why a chirp has no rest.
+    """Return ratios at frequencies with a signal, those without, and an end without rest.
 
     With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
     spectra of the record, interpolated between lines. Otherwise by local polynomials.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import h5py
@@ -13,7 +14,8 @@ from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
 from fusion.errors import InputError
-from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE, LINES_WITHOUT_SIGNAL
+from fusion.phasors.phasor_notices import EVALUATED_AS_NOISE, LINES_WITHOUT_SIGNAL, ROWS_NEED_LINES
+from fusion.planning.check import check
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import select_kinds
 
@@ -138,6 +140,20 @@ def test_run_requires_a_band_frequencies_within_it_and_motion(tmp_path):
     manifest.write_text(text)
     assert [one.is_broadband for one in load_for_command([tmp_path], "run")] == [True]
     assert load_manifest(tmp_path).excitation.kind == "noise"
+
+
+def test_check_says_that_a_rolling_shutter_is_rejected(tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    manifest = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    edit(manifest, 'kind = "sine"', 'kind = "noise"\nband = [60.0, 100.0]')
+    edit(manifest, 'harmonics = "auto"\n', "")
+    rig = tmp_path / "demo" / "rig.toml"
+    warned = []
+    for line in ("[stereo.top]", "[stereo.top]\nrow_time = 1e-6"):
+        edit(rig, "[stereo.top]", line)
+        remarks = check(load_manifest(manifest)).remarks
+        warned.append(any(ROWS_NEED_LINES.template.rstrip(".") in one for one in remarks))
+    assert warned == [False, True]
 
 
 @pytest.mark.slow
