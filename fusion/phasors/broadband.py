@@ -47,6 +47,8 @@ LINES, SEGMENTS = 20, 16
 """Lines in equal ratios where none are stated; the line spacing of the channels' spectra is so many times 1/length."""
 MIN_COHERENCE = 0.9
 """Coherence with the reference that a channel must reach, else a line has no signal (chosen)."""
+MOST_SPACINGS = 2.5
+"""Line spacings from one excited line to the next, between which the spectra of a chirp are interpolated (chosen)."""
 EXACT = 1e-6
 """Relative standard uncertainty of the reference's phasors by its noise, at least: the ratios contain it (chosen)."""
 MIN_CHANNELS, INERTIAL = 2, 2
@@ -86,6 +88,9 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         expected = "a reference, and another channel that follows it"
         raise _refusal(manifest, "daq.channel", f"{len(selected)} channels", expected)
     aligned = align(manifest, base.records, selected, "daq.channel")
+    if band_hz[1] > 0.5 * aligned.rate_hz:
+        expected = f"a band below half the sampling rate, {0.5 * aligned.rate_hz:g} Hz"
+        raise _refusal(manifest, "excitation.band", f"{band_hz[1]:g} Hz", expected)
     signals = _signals(base, aligned, band_hz)
     band_hz = signals.band_hz
     wanted = np.geomspace(*band_hz, LINES) if excitation.frequencies is None else np.sort(excitation.frequencies)
@@ -166,12 +171,13 @@ def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, flo
 def _ratios(
     manifest: Manifest, record: TransferRecord, wanted: FloatArray, band_hz: tuple[float, float]
 ) -> tuple[TransferFunction, FloatArray, str, RestError | None]:
-    """Return ratios with a signal, frequencies without one, and why a chirp has no rest.
+    """Return ratios at frequencies with a signal, those without, and an end without rest.
 
     With a period: from the means over whole periods, at the nearest lines. Of a chirp between rest and rest: from the
     spectra of the record, interpolated between lines. Otherwise by local polynomials.
     """
     excitation, found, unrest = manifest.excitation, None, None
+    resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
     try:
         if excitation.period is not None:
             found = transfer_periodic(
@@ -179,25 +185,33 @@ def _ratios(
             )
         elif excitation.kind == "chirp":
             try:
-                found = _interpolated(transfer_from_rest((record,), band_hz=band_hz), wanted)
+                wider = band_hz[0] - resolution_hz, band_hz[1] + resolution_hz  # lines on both sides of its ends
+                found = _interpolated(transfer_from_rest((record,), band_hz=wider), wanted)
             except RestError as error:
                 unrest = error
         if found is None:
-            resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
             found = transfer_random(record, resolution_hz, estimator="local", band_hz=band_hz, frequency_hz=wanted)
     except ValueError as error:
         raise InputError.from_exception(error, manifest.path, "excitation") from error
-    near = np.abs(np.subtract.outer(wanted, found.ratio.frequency_hz)).argmin(axis=1)
-    near, first = np.unique(near, return_index=True)
-    near_lines, wanted = found.at_lines(near), wanted[first]
-    seen = near_lines.coherence.max(axis=1, initial=0.0) >= MIN_COHERENCE
-    return near_lines.at_lines(seen), wanted[seen], ", ".join(f"{f:.6g}" for f in wanted[~seen]), unrest
+    distance_hz = np.abs(np.subtract.outer(wanted, found.ratio.frequency_hz))
+    near = distance_hz.argmin(axis=1)
+    seen = found.coherence[near].max(axis=1, initial=0.0) >= MIN_COHERENCE
+    seen &= distance_hz.min(axis=1) <= found.line_spacing_hz
+    silent = ", ".join(f"{f:.6g}" for f in wanted[~seen])
+    near, first = np.unique(near[seen], return_index=True)
+    return found.at_lines(near), wanted[seen][first], silent, unrest
 
 
 def _interpolated(found: TransferFunction, wanted: FloatArray) -> TransferFunction:
-    """Return ratios at frequencies between lines, of which the nearest one has their uncertainty."""
+    """Return ratios at frequencies between lines, of which the nearest one has their uncertainty.
+
+    The coherence is 0 where no line is excited on both sides.
+    """
     lines_hz, ratio = found.ratio.frequency_hz, found.ratio
     near = found.at_lines(np.abs(np.subtract.outer(wanted, lines_hz)).argmin(axis=1))
+    after = np.searchsorted(lines_hz, wanted)
+    gap_hz = np.diff(lines_hz, prepend=-np.inf, append=np.inf)[after]
+    near = replace(near, coherence=near.coherence * (gap_hz < MOST_SPACINGS * found.line_spacing_hz)[:, None])
     parts = [
         np.interp(wanted, lines_hz, one.real) + 1j * np.interp(wanted, lines_hz, one.imag) for one in ratio.value.T
     ]

@@ -216,10 +216,15 @@ def read_as_command(manifest: Manifest, already: FileCache) -> list[Notice]:
     command = "run" if manifest.is_broadband else command
     manifest.check_command(command)
     if command == "run":
+        from fusion.phasors.phasor_notices import ROWS_NEED_LINES
         from fusion.phasors.set_up import prepare_set_ups, with_channels
+        from fusion.phasors.stereo_motion import RejectedPair
 
         for set_up in prepare_set_ups(manifest, already):
             notices += [notice for images in set_up.images for notice in images.notices]
+            sights = [images.sight for images in set_up.images if set_up.broadband is not None]
+            rolling = [sight.name for sight in sights if any(sight.pair.row_time)]
+            notices += [RejectedPair(name, ComputeError(ROWS_NEED_LINES, name)).notice for name in rolling]
             notices += [notice for channel in with_channels(set_up, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
         from fusion.sensor.transfer.transfer_estimate import estimate_transfer

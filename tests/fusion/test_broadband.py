@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import h5py
@@ -10,10 +11,13 @@ import pytest
 from nonsinusoidal import matrices_of, true_matrix
 from nonsinusoidal_rig import CAPACITY
 from nonsinusoidal_truth import SINES_HZ, Order, write
+from scipy.signal import chirp
 from support import block, channel, edit
 
 from fusion import Settings, evaluate_recording, load_for_command, load_manifest
 from fusion.errors import InputError
+from fusion.phasors.phasor_notices import LINES_WITHOUT_SIGNAL, ROWS_NEED_LINES
+from fusion.planning.check import check
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import select_kinds
 from shaker.signal_notices import EVALUATED_AS_NOISE
@@ -25,12 +29,17 @@ RATIOS = np.array([0.02, -0.03, 1.0, 0.5, 0.8, -0.4])
 NOISE_M = 2e-7
 
 
-def write_recording(folder: Path, kind: str = "noise") -> Path:
+def write_recording(folder: Path, kind: str = "noise", *, rests: bool = False) -> Path:
     """Write a rigid load on a uniaxial sensor, with a laser, an accelerometer and points of a camera pair."""
     rng, count = np.random.default_rng(4), round(RATE_HZ * LENGTH_S)
     hertz, time_s = np.fft.rfftfreq(count, 1.0 / RATE_HZ), np.arange(count) / RATE_HZ
     inside = (hertz > 30.0) & (hertz < 330.0)
     spectrum = np.where(inside, rng.standard_normal(len(hertz)) + 1j * rng.standard_normal(len(hertz)), 0.0)
+    if rests:  # a sweep from 35 to 330 Hz
+        inside, moving = hertz > 2.0, np.clip((time_s - 0.4) / (LENGTH_S - 0.8), 0.0, 1.0)
+        rise = np.minimum(1.0, 20.0 * np.minimum(moving, 1.0 - moving))
+        swept = np.sin(np.pi / 2.0 * rise) ** 2 * chirp(moving * (LENGTH_S - 0.8), 35.0, LENGTH_S - 0.8, 330.0)
+        spectrum = np.where(inside, np.fft.rfft(swept), 0.0)
     spectrum *= 12.0 / np.std(np.fft.irfft(spectrum, count))
     acceleration = np.fft.irfft(spectrum, count)
     turn = np.where(inside, 2j * np.pi * hertz, 1.0)
@@ -99,11 +108,28 @@ def test_a_chirp_that_does_not_begin_at_rest_is_named(tmp_path):
     assert notice.values["end"] == "beginning"
 
 
+def test_ratios_of_a_sweep_hold_at_the_ends_of_the_band_and_only_where_it_excites(tmp_path):
+    lowest_hz = 40.06  # half a line from the grid of the record
+    edit(write_recording(tmp_path, "chirp", rests=True) / "recording.toml", "band = [40.0, ", f"band = [{lowest_hz}, ")
+    edit(tmp_path / "recording.toml", "300.0]", "800.0]")
+    edit(tmp_path / "recording.toml", "[50.0, 90.0, 150.0, 260.0]", f"[{lowest_hz}, 90.0, 500.0, 800.0]")
+    evaluation = evaluate_recording(tmp_path)
+    found = {one.name: one.phasors.value[:, 0] for one in evaluation.channels}
+    expected = SENSITIVITY * MASS_KG * 2j * np.pi * np.array([lowest_hz, 90.0])
+    assert found["Fz"] / found["laser"] == pytest.approx(expected, rel=2e-4)
+    (notice,) = [one for one in evaluation.notices if one.code == LINES_WITHOUT_SIGNAL.code]
+    assert notice.values["frequencies"] == "500, 800"
+
+
 def test_run_requires_a_band_frequencies_within_it_and_motion(tmp_path):
     write_recording(tmp_path)
     manifest = tmp_path / "recording.toml"
     text = manifest.read_text()
     edit(manifest, "band = [40.0, 300.0]\n", "")
+    with pytest.raises(InputError) as caught:
+        evaluate_recording(tmp_path)
+    assert (caught.value.code, caught.value.key) == ("SC-939", "excitation.band")
+    manifest.write_text(text.replace("300.0]", f"{0.6 * RATE_HZ}]"))
     with pytest.raises(InputError) as caught:
         evaluate_recording(tmp_path)
     assert (caught.value.code, caught.value.key) == ("SC-939", "excitation.band")
@@ -119,6 +145,20 @@ def test_run_requires_a_band_frequencies_within_it_and_motion(tmp_path):
     manifest.write_text(text)
     assert [one.is_broadband for one in load_for_command([tmp_path], "run")] == [True]
     assert load_manifest(tmp_path).excitation.kind == "noise"
+
+
+def test_check_says_that_a_rolling_shutter_is_rejected(tmp_path, demo_recording):
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    manifest = tmp_path / "demo" / "Fz-0080" / "recording.toml"
+    edit(manifest, 'kind = "sine"', 'kind = "noise"\nband = [60.0, 100.0]')
+    edit(manifest, 'harmonics = "auto"\n', "")
+    rig = tmp_path / "demo" / "rig.toml"
+    warned = []
+    for line in ("[stereo.top]", "[stereo.top]\nrow_time = 1e-6"):
+        edit(rig, "[stereo.top]", line)
+        remarks = check(load_manifest(manifest)).remarks
+        warned.append(any(ROWS_NEED_LINES.template.rstrip(".") in one for one in remarks))
+    assert warned == [False, True]
 
 
 @pytest.mark.slow
