@@ -242,7 +242,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
 def draw_sampled_motion(stereo: StereoResult) -> Figure:
     """Draw six components over time and over the motion that the channels predict."""
     poses, fitted = stereo.motion_from_mean.pose, stereo.motion_from_mean.pose - stereo.residual
-    drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
+    drawn = empty_figure(f"motion-{stereo.name}", 10.2, 6, (1.9, 1.0), shared_x=False)
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         factor, letter = prefix(poses[:, :3] if component < 3 else poses[:, 3:])
         seen, predicted = poses[:, component] / factor, fitted[:, component] / factor
