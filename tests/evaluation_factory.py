@@ -378,4 +378,5 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         simulated=True,
         inputs=(UncertainInput(folder / "rig.toml", "load.mass", 6.9605, 0.0010, False, CERTIFIED),),
         excitation=excitation,
+        is_broadband=False,
     )

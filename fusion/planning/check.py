@@ -156,8 +156,9 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
     Data that were read are stored in `already`.
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
+    together = ["shakercal run evaluates this recording, shakercal transfer its channels alone"]
     remarks = [
-        *kind.command_remark,
+        *(together if manifest.is_broadband else kind.command_remark),
         *(f"{notice.where}: {notice.text}" for notice in manifest.notices),
     ]
     if kind.readings_in_table and excitation.file is not None:

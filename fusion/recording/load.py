@@ -173,8 +173,10 @@ class Manifest:
         kind, kinds = self.excitation.kind, kinds_of(command)
         if kind not in kinds and not (command == "run" and self.is_broadband):
             which = "kind" if len(kinds) == 1 else "kinds"
-            other = f"(shakercal {KINDS[kind].commands[0]} evaluates this one)"
-            expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates {other}"
+            other = f"shakercal {KINDS[kind].commands[0]} evaluates this one"
+            if command == "run" and KINDS[kind].is_broadband:
+                other = f"{kind} only with [[images]] or [[points]]; {other} without them"
+            expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates ({other})"
             raise InputError(WRONG_EXCITATION_KIND, self.path, "excitation.kind", found=kind, expected=expected)
         if self.take and command in ONE_SET_UP:
             raise InputError(

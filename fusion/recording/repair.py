@@ -32,6 +32,7 @@ PLAIN: tuple[Any, ...] = (
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
     [[1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 1e-3]],
     [100.0],
+    [100.0, 200.0],
     [PLACEHOLDER],
     [1.0] * 6,
     True,
@@ -88,7 +89,11 @@ class Repair(Generic[AnyBlock]):
             if self._left <= 0:
                 break
             problems = self._problems(candidate)
-            if all(problem_path(other) != path for other in problems):
+            removed = problem["type"] != "extra_forbidden" and _value_at(candidate, path) is None
+            required = removed and any(
+                other["type"] == "missing" and problem_path(other)[:-1] == path[:-1] for other in problems
+            )  # another key instead of the removed one
+            if not required and all(problem_path(other) != path for other in problems):
                 if _value_at(candidate, path) is not None:
                     self._replaced(path, names)
                 self._values = candidate

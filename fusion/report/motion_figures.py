@@ -179,6 +179,7 @@ def _draw_in_plane(panel: Panel, view: _View) -> None:
 
 MEASURED: dict[str, Any] = {"label": "measured", "colour": BLUE, "size": 2.6}
 FITTED: dict[str, Any] = {"label": "sine approximation", "colour": RED}
+BY_CHANNELS = "motion by the channels"
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
 """Largest side of an image on a page; larger ones are reduced to keep pages small."""
@@ -241,17 +242,17 @@ def draw_motion(stereo: StereoResult) -> Figure:
 def draw_sampled_motion(stereo: StereoResult) -> Figure:
     """Draw six components over time and over the motion that the channels predict."""
     poses, fitted = stereo.motion_from_mean.pose, stereo.motion_from_mean.pose - stereo.residual
-    drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
+    drawn = empty_figure(f"motion-{stereo.name}", 10.2, 6, (1.9, 1.0), shared_x=False)
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         factor, letter = prefix(poses[:, :3] if component < 3 else poses[:, 3:])
         seen, predicted = poses[:, component] / factor, fitted[:, component] / factor
         left.points(stereo.time_s, seen, **MEASURED)
-        left.points(stereo.time_s, predicted, label="by the channels", colour=RED, size=2.0)
+        left.points(stereo.time_s, predicted, label=BY_CHANNELS, colour=RED, size=2.0)
         left.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
         left.x.link = f"time of {stereo.name}"
         right.points(predicted, seen, **MEASURED)
     drawn.panels[0].title = "at the exposure times"
-    drawn.panels[1].title = "over the motion by the channels"
+    drawn.panels[1].title = f"over the {BY_CHANNELS}"
     drawn.panels[-2].x.label = "time / s"
     drawn.panels[-1].x.label = "in the same unit"
     caption = (
@@ -263,8 +264,8 @@ def draw_sampled_motion(stereo: StereoResult) -> Figure:
 
 
 def draw_residuals(stereo: StereoResult) -> Figure:
-    """Draw the residuals of the sine approximation over time and as histograms."""
-    residual = stereo.residual
+    """Draw the residuals of the fit over time and as histograms."""
+    residual, fitted = stereo.residual, BY_CHANNELS if isinstance(stereo.fit, SampledFit) else FITTED["label"]
     drawn = empty_figure(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
     for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
@@ -277,17 +278,18 @@ def draw_residuals(stereo: StereoResult) -> Figure:
     drawn.panels[-2].x.label = "time / s"
     drawn.panels[-1].x.label = "frames / %"
     caption = (
-        "Measured motion minus sine approximation, frame by frame, and its distribution, with the normal "
+        f"Measured motion minus {fitted}, frame by frame, and its distribution, with the normal "
         "distribution of the same standard deviation s."
     )
     return drawn.with_title(f"Residuals of {stereo.name}", caption)
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Figure:
-    """Draw the amplitude spectrum of the residuals with the aliases of the lines."""
+    """Draw the amplitude spectrum of the residuals with the aliases of fitted lines."""
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
-    alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
+    lines_hz = np.empty(0) if isinstance(stereo.fit, SampledFit) else stereo.fit.phasors.frequency_hz
+    alias = alias_frequency(lines_hz, rate)
     drawn = empty_figure(f"residual-spectrum-{stereo.name}", 3.1, 1, 2)
     for panel, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
         factor, letter = prefix(amplitude[1:, components], coarse=True)
@@ -297,12 +299,13 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
         panel.y.limits = (0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
         panel.x.limits = (0.0, rate / 2.0)
         panel.x.label, panel.y.label = "frequency at the camera / Hz", f"amplitude / {letter}{unit}"
-        names = tuple(f"{line:.4f} Hz" for line in stereo.fit.phasors.frequency_hz)
-        panel.points(alias, np.zeros_like(alias), "fitted lines", marker="triangle", colour=BLACK, names=names)
+        if len(alias):
+            names = tuple(f"{line:.4f} Hz" for line in lines_hz)
+            panel.points(alias, np.zeros_like(alias), "fitted lines", marker="triangle", colour=BLACK, names=names)
+    marks = " Triangles: aliases of the fitted lines." if len(alias) else ""
     caption = (
-        "Amplitude spectrum of the residuals over the frequency at the camera. Triangles: aliases of the fitted "
-        "lines. White noise alone gives a level spectrum; any other peak is a disturbance "
-        "or a line that was not fitted."
+        f"Amplitude spectrum of the residuals over the frequency at the camera.{marks} White noise alone gives a level "
+        "spectrum; any other peak is a disturbance or a motion that was not fitted."
     )
     return drawn.with_title(f"Residual spectrum of {stereo.name}", caption)
 

@@ -39,6 +39,7 @@ from fusion.report.tables import (
     by_source,
     driven_channel,
     driven_component,
+    equivalent_sine,
     main_line,
     main_result,
     result_name,
@@ -101,7 +102,8 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
         _draw_plane(panel, available, typeset(results[0].phasors.unit[component]), scales[component // 3])
     frequency = float(results[0].phasors.frequency_hz[line])
     caption = (
-        f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
+        f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % "
+        f"regions{equivalent_sine(evaluation)}. A "
         f"component whose region includes the origin (cross) is not distinguishable from zero; its amplitude and "
         f"phase alone would mislead."
     )
@@ -225,6 +227,8 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
                 look = {"half_y": half[mask], "open": bool(harmonic[mask].any())}
                 panel.points(frequency[mask], level[mask], legend, **look)
         panel.x.limits, panel.x.link = (0.0, 1.12 * float(frequency.max(initial=1.0))), "frequency"
+        if evaluation.manifest.is_broadband:
+            panel.x.limits, panel.x.log = (float(frequency.min()) / 1.12, 1.12 * float(frequency.max())), True
     lower.x.label = "frequency / Hz"
     hidden = len(points) - int(shown.sum())
     omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
@@ -349,17 +353,24 @@ def trigger_figures(evaluation: Evaluation) -> list[Figure]:
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Figure:
     """Draw an excerpt of every channel with its fit and exposures, and its amplitude spectrum."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
+    broadband = evaluation.manifest.is_broadband
+    lines_hz = np.empty(0) if broadband else evaluation.lines.frequency_hz
     # Blocks have separate clocks: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for index, channel in enumerate(channels):
         excerpts = [one.excerpt for one in channels if one.unit == channel.unit]
         scale = _shown_unit(np.concatenate(excerpts), channel.unit)
         _draw_excerpt(drawn.panels[2 * index], channel, exposures, scale)
-        _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz, scale)
+        _draw_spectrum(drawn.panels[2 * index + 1], channel, lines_hz, scale)
         drawn.panels[2 * index].x.label, drawn.panels[2 * index + 1].x.label = "time / s", "frequency / Hz"
     marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
     more = len(evaluation.channels) - len(channels)
     caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
+    if broadband:
+        caption = (
+            f"Left: the first samples.{marks} Right: spectrum with a window over time, which shows the middle of a "
+        )
+        caption += "sweep larger than its ends."
     caption += f" {more} more channels are not drawn." if more else ""
     return drawn.with_title("Channels", caption)
 
@@ -399,7 +410,8 @@ def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray, s
         if len(within):
             panel.rule(within, "exposures", along="x", colour=GREY, dashed=True)
     panel.points(time[chosen], channel.excerpt[chosen] / factor, "samples", colour=BLUE, size=1.8)
-    panel.line(time[chosen], channel.excerpt_fit[chosen] / factor, "fitted lines", colour=RED, width=0.9)
+    if np.isfinite(channel.excerpt_fit).any():
+        panel.line(time[chosen], channel.excerpt_fit[chosen] / factor, "fitted lines", colour=RED, width=0.9)
     panel.y.label, panel.title = f"{letter}{typeset(channel.unit)}", f"{channel.name} ({channel.daq})"
     panel.x.link = f"excerpt of {channel.daq}"
 

@@ -12,6 +12,7 @@ from fusion.base import prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty, over_static, polar_elements
+from fusion.phasors.broadband import SEGMENTS
 from fusion.phasors.steadiness import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
@@ -34,6 +35,7 @@ from fusion.report.table import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
+from shaker.frf.sampled_motion import SampledFit
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
@@ -110,6 +112,15 @@ def main_line(evaluation: Evaluation) -> int:
         return 0
     driven = np.abs(result.phasors.value[:, driven_component(evaluation)])
     return int(np.nanargmax(driven)) if np.isfinite(driven).any() else 0
+
+
+def equivalent_sine(evaluation: Evaluation) -> str:
+    """Return what amplitudes of a chirp, noise or blows mean, "" for sines."""
+    if not evaluation.manifest.is_broadband or not evaluation.channels:
+        return ""
+    channel = evaluation.channels[0]
+    width_hz = SEGMENTS * channel.sample_rate_hz / channel.samples
+    return f"; amplitudes of a sine with the power within {number_text(width_hz, 2)} Hz"
 
 
 def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration | None:
@@ -203,6 +214,8 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
     found = list[Headline]()
     if main is not None:
         found += [*_curve_headlines(evaluation, main[0]), *_sensitivity_headlines(evaluation, main[0], line)]
+    if found and evaluation.manifest.is_broadband:  # the amplitudes are those of equivalent sines
+        return found
     moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
     for result, label in zip((moved, evaluation.load), labels, strict=True):
@@ -213,7 +226,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
         if not element.region.holds_zero:
             unit = result.phasors.unit[component]
             size, remark = quantity_text(element.magnitude, element.expanded_magnitude, unit), _relative(element)
-        found.append(Headline(f"{label}, amplitude", size, remark))
+        found.append(Headline(f"{label}, amplitude{equivalent_sine(evaluation)}", size, remark))
     return [*found, *_deformation_headlines(evaluation, line)]
 
 
@@ -273,6 +286,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
         caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U = k·u (95 %)"
+        caption += equivalent_sine(evaluation)
         tables.append(Table(caption, head, "ll" + "r" * len(results), tuple(rows)))
     return tables
 
@@ -300,7 +314,8 @@ def load_table(evaluation: Evaluation) -> Table | None:
                 frequency = f"{load.frequency_hz[k]:.4f}"
                 rows.append((frequency, LOAD_COMPONENTS[c], amplitude, unit, turn, k_factor, freedom))
     head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "k", "dof")
-    return Table("Load at the sensor origin with U = k·u (95 %)", head, "rlrlrrr", tuple(rows))
+    caption = f"Load at the sensor origin with U = k·u (95 %){equivalent_sine(evaluation)}"
+    return Table(caption, head, "rlrlrrr", tuple(rows))
 
 
 def side_by_side(caption: str, heads: Sequence[str], facts: Facts[R], items: Sequence[R]) -> Table:
@@ -345,9 +360,10 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "fixed pattern, PRNU ± u / %": lambda pair: (
             DASH if pair.prnu is None else ", ".join(f"{100.0 * size:.2f} ± {100.0 * u:.2f}" for size, u in pair.prnu)
         ),
-        "condition of the sine fit": lambda pair: number_text(pair.fit.condition),
-        "resolved lines": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
     }
+    if not any(isinstance(pair.fit, SampledFit) for pair in stereo):
+        facts["condition of the sine fit"] = lambda pair: number_text(pair.fit.condition)
+        facts["resolved lines"] = lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}"
     heads = [f"“{pair.name}”" for pair in stereo]
     return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
 
@@ -498,8 +514,9 @@ def lines_table(evaluation: Evaluation) -> Table:
 
 
 def channels_table(evaluation: Evaluation) -> Table | None:
-    """Return every DAQ channel at the strongest line."""
+    """Return every DAQ channel at the strongest line; a sweep leaves no residual."""
     line, rows = main_line(evaluation), []
+    fitted = not evaluation.manifest.is_broadband
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
         element = polar(value, channel.phasors.covariance[line], float(channel.phasors.dof[line]))
@@ -510,10 +527,11 @@ def channels_table(evaluation: Evaluation) -> Table | None:
         )
         rest = Markup("{} {}").format(number_text(channel.residual_rms / factor, 2), typeset(letter + channel.unit))
         texts = (channel.name, channel.daq, channel.quantity, number_text(channel.sample_rate_hz, 6))
-        rows.append((*texts, amplitude, phase(element), rest))
-    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
-    caption = "Channels at the strongest line; U (95 %) from the scatter alone"
-    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
+        rows.append((*texts, amplitude, phase(element), *([rest] * fitted)))
+    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", *(["residual rms"] * fitted))
+    frequency = f"{evaluation.lines.frequency_hz[line]:.4f} Hz"
+    caption = f"Channels at {frequency}; U (95 %) from the scatter alone{equivalent_sine(evaluation)}"
+    return Table(caption, head, "lllrrrr"[: len(head)], tuple(rows)) if rows else None
 
 
 def drift_table(evaluation: Evaluation) -> Table | None:

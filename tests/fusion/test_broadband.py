@@ -20,6 +20,7 @@ from fusion.phasors.phasor_notices import LINES_WITHOUT_SIGNAL, ROWS_NEED_LINES
 from fusion.planning.check import check
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import select_kinds
+from fusion.report.tables import headlines
 from shaker.signal_notices import EVALUATED_AS_NOISE
 
 RATE_HZ, LENGTH_S, BAND_HZ, LINES_HZ = 4096.0, 8.0, [40.0, 300.0], [50.0, 90.0, 150.0, 260.0]
@@ -100,6 +101,7 @@ def test_noise_with_points_gives_six_components_and_sensitivity(tmp_path):
     value, covariance = found.value[:, 0, 2], found.covariance[:, 0, 2]
     assert np.abs(value / SENSITIVITY - 1.0).max() < 2e-3
     assert np.all(np.abs(value - SENSITIVITY) < 3.5 * np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
+    assert not any("m/s²" in headline.value for headline in headlines(evaluation))  # of equivalent sines
 
 
 def test_a_chirp_that_does_not_begin_at_rest_is_named(tmp_path):

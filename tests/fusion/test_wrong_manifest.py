@@ -241,6 +241,18 @@ def test_every_mistake_of_a_file_is_reported(make_campaign):
     assert [one.key for one in error.each] == ["load.mass", 'part."adapter plate".mass']
 
 
+@pytest.mark.parametrize(
+    ("key", "declared", "changes"),
+    [
+        ("band", INVALID_VALUE, (('kind = "sine"', 'kind = "chirp"'), ('harmonics = "auto"', "band = [900.0, 60.0]"))),
+        ("frame_rate", VALUE_OUT_OF_RANGE, (('trigger = "camera_trigger"\nfirst_edge = 0', "frame_rate = -1.0"),)),
+    ],
+)
+def test_a_wrong_value_causes_no_second_error(make_campaign, key, declared, changes):
+    error = _refused(make_campaign(replace=[(RECORDING, *change) for change in changes]), RECORDING, key, declared)
+    assert len(error.each) == 1
+
+
 def test_a_covariance_makes_the_scale_uncertainty_optional(make_campaign):
     folder = make_campaign(replace=((RIG, "scale_uncertainty = 2e-4 ", "#"),))
     calibration = folder.parent / "calibration" / "top.json"
