@@ -199,7 +199,7 @@ def _with_frame_rate(
 
 
 def _explained(measured: StereoMotion, lines: LineFrequencies, period_s: float) -> float:
-    """Return the share of the variance of a motion's first component that lines at a frame rate explain."""
+    """Return the share of a motion's variance, first component, that lines at a rate explain."""
     sight, values = measured.sight, measured.motion.pose[:, 0]
     edge, usable = sight.edge - sight.edge[0], np.isfinite(values)
     wave = np.exp(2j * np.pi * period_s * np.multiply.outer(edge[usable], lines.frequency_hz))
