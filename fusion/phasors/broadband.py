@@ -93,11 +93,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
         raise _refusal(manifest, "excitation.band", f"{band_hz[1]:g} Hz", expected)
     signals = _signals(base, aligned, band_hz)
     band_hz = signals.band_hz
-    wanted = np.geomspace(*band_hz, LINES) if excitation.frequencies is None else np.sort(excitation.frequencies)
-    outside = wanted[(wanted < band_hz[0] * (1.0 - EXACT)) | (wanted > band_hz[1] * (1.0 + EXACT))]
-    if len(outside):
-        expected = f"frequencies within the band, {band_hz[0]:g} to {band_hz[1]:g} Hz"
-        raise _refusal(manifest, "excitation.frequencies", f"{outside[0]:g} Hz", expected)
+    wanted = _wanted(manifest, band_hz)
     names = [entry.name for _, entry in selected]
     first = _reference(manifest, [entry for _, entry in selected], signals, wanted)
     record = TransferRecord(
@@ -151,6 +147,17 @@ def _band(manifest: Manifest) -> tuple[float, float]:
     if any(daq.further_files for daq in manifest.daq):
         raise _refusal(manifest, "daq.repeats", "further files", "one file per block for a recording with images")
     return band_hz
+
+
+def _wanted(manifest: Manifest, band_hz: tuple[float, float]) -> FloatArray:
+    """Return the frequencies of the results; refuse those outside the band."""
+    stated = manifest.excitation.frequencies
+    wanted: FloatArray = np.geomspace(*band_hz, LINES) if stated is None else np.sort(np.asarray(stated, np.float64))
+    outside = wanted[(wanted < band_hz[0] * (1.0 - EXACT)) | (wanted > band_hz[1] * (1.0 + EXACT))]
+    if len(outside):
+        expected = f"frequencies within the band, {band_hz[0]:g} to {band_hz[1]:g} Hz"
+        raise _refusal(manifest, "excitation.frequencies", f"{outside[0]:g} Hz", expected)
+    return wanted
 
 
 def _signals(base: TimeBase, aligned: AlignedChannels, band_hz: tuple[float, float]) -> ReferenceSignals:
