@@ -77,7 +77,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
 
     At the stated frequencies, or at 20 in equal ratios.
     """
-    excitation, band_hz = manifest.excitation, _band(manifest)
+    band_hz = _band(manifest)
     selected = [
         (record.entry.name, entry)
         for record in base.records
@@ -119,15 +119,14 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     if unrest is not None:
         percent = 100.0 * unrest.level
         notices.append(Notice(EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent))
-    count = len(wanted)
     return BroadbandRecord(
         aligned=aligned,
         lines=LineFrequencies(
             frequency_hz=ratios.ratio.frequency_hz,
-            u_frequency_hz=np.zeros(count),
+            u_frequency_hz=np.zeros(len(wanted)),
             nominal_hz=wanted,
-            multiple=np.ones(count, np.int64),
-            why=(excitation.kind,) * count,
+            multiple=np.ones(len(wanted), np.int64),
+            why=(manifest.excitation.kind,) * len(wanted),
             notices=tuple(notices),
         ),
         signals=signals,
@@ -192,7 +191,8 @@ def _ratios(
             )
         elif excitation.kind == "chirp":
             try:
-                wider = band_hz[0] - resolution_hz, band_hz[1] + resolution_hz  # lines on both sides of its ends
+                lowest_hz = max(band_hz[0] - resolution_hz, 0.5 * band_hz[0])
+                wider = lowest_hz, band_hz[1] + resolution_hz  # lines on both sides of its ends
                 found = _interpolated(transfer_from_rest((record,), band_hz=wider), wanted)
             except RestError as error:
                 unrest = error

@@ -15,10 +15,9 @@ from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.identify.identification_evaluation import evaluate_identification
 from fusion.sensor.identify.identification_inputs import IdentifySettings, read_campaign
-from fusion.sensor.response_notices import EVALUATED_AS_NOISE
 from fusion.sensor.transfer.transfer_evaluation import evaluate_transfer
 from fusion.sensor.transfer.transfer_records import ReferenceResult, TransferSettings
-from shaker.signal_notices import AMPLITUDE_DEPENDENCE, REPEATS_DIFFER, REST_ESTIMATE, SINGLE_REPEAT
+from shaker.signal_notices import AMPLITUDE_DEPENDENCE, EVALUATED_AS_NOISE, REPEATS_DIFFER, REST_ESTIMATE, SINGLE_REPEAT
 
 LEVELS = {"sweep-1.h5": 1.0, "sweep-2.h5": 2.0, "sweep-3.h5": 1.5}
 

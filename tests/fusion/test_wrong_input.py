@@ -157,7 +157,10 @@ def _without_last_channel(content: bytes) -> bytes:
     return content[: content.rindex(b"[[daq.channel]]", 0, images)] + content[images:]
 
 
-CHIRP = ('frequencies = [80.0]\nharmonics = "auto"', "band = [10.0, 100.0]\nperiod = 1.0")
+STEP = (
+    'direction = [0.0, 0.0, 1.0]\nfrequencies = [80.0]\nharmonics = "auto"',
+    'component = "Fz"\nstep_amplitude = 1.0',
+)
 UNREADABLE_TDMS = _each(
     _text(RECORDING, '"bridge.h5"', '"bridge.tdms"'),
     lambda campaign: (campaign / NAME / "bridge.tdms").write_bytes(b"TDSm" + bytes(range(200)) * 20),
@@ -223,8 +226,8 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
         "truncated HDF5": (_cut(BRIDGE, 0.5), "daq.bridge.file", " bridge.h5: ", UNREADABLE_DAQ_FILE.code),
         "corrupt TDMS": (UNREADABLE_TDMS, "daq.bridge.file", " bridge.tdms: ", UNREADABLE_DAQ_FILE.code),
         "excitation of another command": (
-            _each(_text(RECORDING, '"sine"', '"chirp"'), _text(RECORDING, *CHIRP)),
-            "excitation.kind", "sine", "chirp", WRONG_EXCITATION_KIND.code,
+            _each(_text(RECORDING, '"sine"', '"step"'), _text(RECORDING, *STEP)),
+            "excitation.kind", "sine", "step", WRONG_EXCITATION_KIND.code,
         ),
         "frequency not present": (
             _text(RECORDING, "frequencies = [80.0]", "frequencies = [95.0]"),
