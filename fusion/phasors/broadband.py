@@ -37,7 +37,6 @@ from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sampled_motion import ReferenceSignals
 from shaker.frf.sweeps import transfer_from_rest
 from shaker.lines.frequencies import LineFrequencies
-from shaker.signal_notices import EVALUATED_AS_NOISE
 from shaker.sine.phasor import Phasors
 from shaker.timebase.edges import PASS_BAND
 from shakercal._common.arrays import ComplexArray, FloatArray
@@ -117,8 +116,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     scale = _amplitude(record.reference, signals.rate_hz, ratios.ratio.frequency_hz)[:, None]
     notices = [Notice(LINES_WITHOUT_SIGNAL, "excitation.band", frequencies=silent)] if silent else []
     if unrest is not None:
-        percent = 100.0 * unrest.level
-        notices.append(Notice(EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent))
+        notices.append(unrest.notice)
     return BroadbandRecord(
         aligned=aligned,
         lines=LineFrequencies(

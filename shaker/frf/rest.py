@@ -11,7 +11,9 @@ import numpy as np
 from shaker.frf.result import TransferRecord
 from shaker.io.condition import converter_step, runs_of
 from shaker.lines.spectrum import hann_window
+from shaker.signal_notices import EVALUATED_AS_NOISE
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
+from shakercal._common.notices import Notice
 
 # Where a record is active: blocks of samples whose level exceeds that at both ends.
 
@@ -46,6 +48,11 @@ class RestError(ValueError):
         super().__init__(
             f"record: expected rest at its {end}, found {channel} at {100.0 * level:.2g} % of its largest level"
         )
+
+    @property
+    def notice(self) -> Notice:
+        """Notice of a chirp that is evaluated as noise instead."""
+        return Notice(EVALUATED_AS_NOISE, self.channel, end=self.end, percent=100.0 * self.level)
 
 
 @dataclass(frozen=True)

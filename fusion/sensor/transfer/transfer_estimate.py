@@ -16,7 +16,6 @@ from shaker.frf.random import transfer_random
 from shaker.frf.rest import RestError, find_bursts
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.frf.sweeps import transfer_from_rest, usable_band
-from shaker.signal_notices import EVALUATED_AS_NOISE
 from shakercal._common.notices import Notice
 
 AVERAGED: tuple[Literal["auto", "local", "H1", "H2", "Hv"], ...] = ("auto", "local", "H1", "H2", "Hv")
@@ -75,9 +74,7 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
             ) from error
         raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     if unrest is not None:
-        percent = 100.0 * unrest.level
-        as_noise = Notice(EVALUATED_AS_NOISE, unrest.channel, end=unrest.end, percent=percent)
-        return replace(found, notices=(*found.notices, as_noise))
+        return replace(found, notices=(*found.notices, unrest.notice))
     if excitation.kind != "chirp" or excitation.period is not None:
         return found
     return replace(found, notices=(*found.notices, Notice(declared.CHIRP_WITHOUT_PERIOD, "excitation.period")))
