@@ -85,11 +85,15 @@ class AlignedChannels:
 
 
 def align(
-    manifest: Manifest, records: Sequence[DaqRecord], selected: Sequence[tuple[str, ChannelEntry]], key: str
+    manifest: Manifest,
+    records: Sequence[DaqRecord],
+    selected: Sequence[tuple[str, ChannelEntry]],
+    key: str,
+    tied: TimeBase | None = None,
 ) -> AlignedChannels:
     """Return channels as sampled simultaneously, or on a common grid.
 
-    `selected`: each with the name of its block.
+    `selected`: each with the name of its block. `tied`: the clocks, None to tie those of several blocks.
 
     Raises `InputError` at `key` for records that do not overlap, and for a channel with clipped or lost samples.
     """
@@ -97,8 +101,8 @@ def align(
     for block, entry in selected:
         blocks[block].check_uniform([entry])
     used = dict.fromkeys(block for block, _ in selected)
-    base = None
-    if len(used) > 1:
+    base = tied if len(used) > 1 else None
+    if len(used) > 1 and base is None:
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
     channels = tuple(LocatedChannel(entry, blocks[name], base) for name, entry in selected)
     coarse = [notice for channel in channels for notice in _condition(manifest, channel)]

@@ -86,7 +86,7 @@ def read_broadband(manifest: Manifest, base: TimeBase) -> BroadbandRecord:
     if len(selected) < MIN_CHANNELS:
         expected = "a reference, and another channel that follows it"
         raise _refusal(manifest, "daq.channel", f"{len(selected)} channels", expected)
-    aligned = align(manifest, base.records, selected, "daq.channel")
+    aligned = align(manifest, base.records, selected, "daq.channel", base)
     if band_hz[1] > 0.5 * aligned.rate_hz:
         expected = f"a band below half the sampling rate, {0.5 * aligned.rate_hz:g} Hz"
         raise _refusal(manifest, "excitation.band", f"{band_hz[1]:g} Hz", expected)
