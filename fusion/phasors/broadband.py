@@ -181,7 +181,7 @@ def _ratios(
     spectra of the record, interpolated between lines. Otherwise by local polynomials.
     """
     excitation, found, unrest = manifest.excitation, None, None
-    resolution_hz = SEGMENTS * record.sample_rate_hz / len(record.reference)
+    resolution_hz = line_spacing_hz(record.sample_rate_hz, len(record.reference))
     try:
         if excitation.period is not None:
             found = transfer_periodic(
@@ -227,6 +227,11 @@ def _refusal(manifest: Manifest, key: str, found: str, expected: str) -> InputEr
     return InputError(BROADBAND_REFUSED, manifest.path, key, found=found, expected=expected)
 
 
+def line_spacing_hz(rate_hz: float, samples: int) -> float:
+    """Return the line spacing of the channels' spectra."""
+    return SEGMENTS * rate_hz / samples
+
+
 def _reference(
     manifest: Manifest, entries: Sequence[ChannelEntry], signals: ReferenceSignals, frequency_hz: FloatArray
 ) -> int:
@@ -244,7 +249,7 @@ def _reference(
 
 def _amplitude(samples: FloatArray, rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
     """Return amplitudes (K,) of sines with a channel's power within the line spacing."""
-    width_hz = SEGMENTS * rate_hz / len(samples)
+    width_hz = line_spacing_hz(rate_hz, len(samples))
     power = np.abs(np.fft.rfft(samples - samples.mean()) * 2.0 / len(samples)) ** 2
     spectrum_hz = np.fft.rfftfreq(len(samples), 1.0 / rate_hz)
     near = np.searchsorted(spectrum_hz, frequency_hz[:, None] + width_hz * np.array([-0.5, 0.5]))

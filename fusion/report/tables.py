@@ -12,7 +12,7 @@ from fusion.base import prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty, over_static, polar_elements
-from fusion.phasors.broadband import SEGMENTS
+from fusion.phasors.broadband import line_spacing_hz
 from fusion.phasors.steadiness import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
@@ -119,7 +119,7 @@ def equivalent_sine(evaluation: Evaluation) -> str:
     if not evaluation.manifest.is_broadband or not evaluation.channels:
         return ""
     channel = evaluation.channels[0]
-    width_hz = SEGMENTS * channel.sample_rate_hz / channel.samples
+    width_hz = line_spacing_hz(channel.sample_rate_hz, channel.samples)
     return f"; amplitudes of a sine with the power within {number_text(width_hz, 2)} Hz"
 
 
